@@ -1,0 +1,129 @@
+"""Stratified percentile bootstrap over runs, with tasks as strata.
+
+Within each task whole runs are drawn with replacement, independently of the other tasks, and the statistic is taken
+of all of them pooled (Agarwal et al. 2021, as in rliable). A run is drawn with its whole curve, so that the replicates
+of neighbouring steps belong together and the area under the curve has an interval too.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from rrmctl.stats.aggregate import Floats, checked
+
+#: Reduces the last axis, which holds the runs.
+Statistic = Callable[[Floats], Floats]
+
+#: Fewer runs than this in any stratum say nothing about spread; such an estimate gets no interval.
+MIN_RUNS = 3
+REPLICATES = 10_000
+_CHUNK_BYTES = 32 * 2**20
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A statistic with its interval; arrays have the shape of one run's score (0-d for a number per run)."""
+
+    estimate: Floats
+    low: Floats  #: NaN where there are too few runs for an interval
+    high: Floats
+    n: int  #: runs, over all strata
+    method: str  #: how the interval was made, or why there is none
+
+
+def bootstrap(
+    strata: Sequence[npt.ArrayLike],
+    statistic: Statistic,
+    *,
+    rng: np.random.Generator,
+    replicates: int = REPLICATES,
+    level: float = 0.95,
+) -> Estimate:
+    """The statistic of all runs pooled, and its percentile interval.
+
+    Args:
+        strata: for each task the scores of its runs, [S] or [S, ...]; tasks may have different numbers of runs.
+        statistic: reduces the last axis of an array.
+        rng: the only source of randomness.
+        replicates: resampled data sets.
+        level: nominal coverage; the true one is lower for few runs.
+
+    Raises:
+        ValueError: no strata, an empty one, shapes that differ beyond the runs, or a score that is not finite.
+    """
+    runs = _runs_last(strata)
+    draws = None
+    if interval_possible([each.shape[-1] for each in runs]):
+        draws = resample(strata, statistic, rng=rng, replicates=replicates)
+    pooled = np.concatenate(runs, axis=-1)
+    return estimate(statistic(pooled), draws, n=pooled.shape[-1], level=level)
+
+
+def estimate(point: npt.ArrayLike, draws: Floats | None, *, n: int, level: float = 0.95) -> Estimate:
+    """Wrap a statistic and its replicates [R, ...]; None stands for "too few runs" and leaves NaN as the interval.
+
+    Raises:
+        ValueError: the level is not between 0 and 1.
+    """
+    if not 0.0 < level < 1.0:
+        raise ValueError(f"the level of an interval lies between 0 and 1, not {level}")
+    value = np.asarray(point, dtype=np.float64)
+    if draws is None:
+        none = np.full(value.shape, np.nan)
+        return Estimate(value, none, none, n, f"no interval: fewer than {MIN_RUNS} runs")
+    tail = (1.0 - level) / 2.0
+    low, high = np.quantile(draws, [tail, 1.0 - tail], axis=0)
+    method = f"{100 * level:g} % percentile bootstrap, {draws.shape[0]:,} replicates"
+    return Estimate(value, np.asarray(low), np.asarray(high), n, method)
+
+
+def interval_possible(sizes: Sequence[int]) -> bool:
+    """True where every stratum has enough runs for an interval."""
+    return min(sizes, default=0) >= MIN_RUNS
+
+
+def resample(
+    strata: Sequence[npt.ArrayLike],
+    statistic: Statistic,
+    *,
+    rng: np.random.Generator,
+    replicates: int = REPLICATES,
+    chunk_bytes: int = _CHUNK_BYTES,
+) -> Floats:
+    """The statistic of each resampled data set, float64 [R, ...].
+
+    Memory is bounded by `chunk_bytes` for each copy of the data it makes; the result does not depend on it.
+
+    Raises:
+        ValueError: as `bootstrap`, or no replicates are asked for.
+    """
+    if replicates < 1:
+        raise ValueError(f"a bootstrap needs at least one replicate, not {replicates}")
+    runs = _runs_last(strata)
+    # All draws come first: the stream must not depend on the size of the chunks.
+    picks = [rng.integers(each.shape[-1], size=(replicates, each.shape[-1]), dtype=np.int32) for each in runs]
+    row_bytes = 8 * sum(each.size for each in runs)
+    chunk = max(1, chunk_bytes // row_bytes)
+    parts = [
+        np.moveaxis(statistic(_pooled(runs, [pick[start : start + chunk] for pick in picks])), -1, 0)
+        for start in range(0, replicates, chunk)
+    ]
+    return np.concatenate(parts)
+
+
+def _pooled(runs: Sequence[Floats], picks: Sequence[npt.NDArray[np.int32]]) -> Floats:
+    """Each stratum [..., S] at its picks [R, S], side by side: [..., R, sum of S]."""
+    return np.concatenate([np.take(each, pick, axis=-1) for each, pick in zip(runs, picks, strict=True)], axis=-1)
+
+
+def _runs_last(strata: Sequence[npt.ArrayLike]) -> list[Floats]:
+    if not strata:
+        raise ValueError("no strata to resample")
+    runs = [checked(each, axis=0) for each in strata]
+    if len({each.shape[:-1] for each in runs}) > 1:
+        raise ValueError("the scores of all strata need one shape beyond the runs")
+    return runs

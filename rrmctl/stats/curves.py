@@ -1,0 +1,95 @@
+"""What is read off learning curves: the area below them, and the step at which methods are compared."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from rrmctl.stats.aggregate import Floats, checked
+
+Steps = npt.NDArray[np.int64]
+
+
+def area_under_curve(steps: npt.ArrayLike, values: npt.ArrayLike) -> Floats:
+    """Mean height of a curve between its first and last step (trapezoids), in the unit of the values.
+
+    Args:
+        steps: strictly increasing, [T].
+        values: finite, [..., T].
+
+    Returns:
+        float64 of shape [...]; the value itself where there is a single step.
+
+    Raises:
+        ValueError: the steps do not increase, do not match the values, or a value is not finite.
+    """
+    x = checked_steps(steps)
+    y = checked(values, axis=-1)
+    if y.shape[-1] != x.size:
+        raise ValueError(f"{x.size} steps and {y.shape[-1]} values do not belong together")
+    if x.size == 1:
+        return np.asarray(y[..., 0])
+    return np.asarray(np.trapezoid(y, x, axis=-1) / (x[-1] - x[0]))
+
+
+@dataclass(frozen=True)
+class CommonStep:
+    """The step at which the methods of a task are read."""
+
+    index: int  #: position among the evaluation steps
+    step: int  #: environment steps
+    reached: bool  #: False: no method got there and this is merely the last step
+    by: tuple[str, ...]  #: the methods that got there first
+
+
+def common_step(
+    steps: npt.ArrayLike, success: Mapping[str, npt.ArrayLike], *, share: float = 0.8, oracle: str = "oracle"
+) -> CommonStep:
+    """First evaluation step at which `share` of the seeds of any method but the oracle are at 100 % success.
+
+    The rule of the paper's box figure (8 of 10 seeds). A step chosen on the data it is then applied to is an optimistic
+    choice, alike for all methods; the last step, where none gets there, is not.
+
+    Args:
+        steps: evaluation steps common to all methods, [T].
+        success: method -> share of successful episodes of each run, [S, T] in [0, 1].
+        share: of the seeds present.
+        oracle: the method that does not count.
+
+    Raises:
+        ValueError: no steps, shapes that do not match, or a success that is not finite or outside [0, 1].
+    """
+    x = checked_steps(steps)
+    first: dict[str, int] = {}
+    for method, scores in success.items():
+        values = checked(scores, axis=0)
+        if values.shape[:-1] != x.shape:
+            raise ValueError(f"{method}: {x.size} steps and scores of shape {np.shape(scores)} do not belong together")
+        if values.min() < 0.0 or values.max() > 1.0:
+            raise ValueError(f"{method}: success is a fraction between 0 and 1")
+        if method == oracle:
+            continue
+        # The slack is for shares like 0.8 * 35, which floating point puts a hair above 28.
+        enough = (values >= 1.0).sum(axis=-1) >= share * values.shape[-1] - 1e-9
+        if enough.any():
+            first[method] = int(enough.argmax())
+    index = min(first.values(), default=x.size - 1)
+    by = tuple(method for method, position in first.items() if position == index)
+    return CommonStep(index=index, step=int(x[index]), reached=bool(first), by=by)
+
+
+def checked_steps(steps: npt.ArrayLike) -> Steps:
+    """The steps as int64 [T].
+
+    Raises:
+        ValueError: there are none, or they do not strictly increase.
+    """
+    x = np.asarray(steps, dtype=np.int64)
+    if x.ndim != 1 or x.size == 0:
+        raise ValueError("a curve needs at least one evaluation step")
+    if (np.diff(x) <= 0).any():
+        raise ValueError("evaluation steps must increase from one to the next")
+    return x
