@@ -1,0 +1,168 @@
+"""Writes that happen as a whole or not at all, and locks the operating system frees when their holder dies."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import fcntl
+import json
+import os
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from rrmctl.errors import UserError
+
+#: What the operating system says when it is the place, not the program, that cannot take a write.
+STORAGE_ERRNOS = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EACCES, errno.EPERM, errno.EIO, errno.EFBIG})
+
+_FULL = frozenset({errno.ENOSPC, errno.EDQUOT})
+
+
+class StorageError(UserError):
+    """The results folder took no write. What was written before stays as it is."""
+
+
+class DamagedError(UserError):
+    """A file of the store does not hold what it should."""
+
+
+def storage_error(path: Path, error: OSError) -> StorageError:
+    """The message for a write to `path` that failed with `error`."""
+    todo = "make space" if error.errno in _FULL else "make the folder writable, or choose another with --results"
+    return StorageError(
+        f"cannot write {path}: {error.strerror or error}",
+        f"what was written before is untouched; {todo}, then `rrmctl resume` goes on",
+    )
+
+
+def write_bytes(path: Path, data: bytes) -> None:
+    """Replace `path` by `data`, creating its folder; after a crash it holds the old bytes or the new, never a mixture.
+
+    Raises:
+        StorageError: no space, no permission; the old file is untouched.
+    """
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        try:
+            _write_through(temporary, data)
+            temporary.replace(path)
+        except BaseException:
+            temporary.unlink(missing_ok=True)
+            raise
+        _sync_folder(path.parent)
+    except OSError as error:
+        raise storage_error(path, error) from error
+
+
+def write_json(path: Path, value: Any) -> None:
+    """`write_bytes` of `value` as indented JSON. Raises ValueError on NaN, which JSON does not have."""
+    write_bytes(path, (json.dumps(value, indent=1, allow_nan=False) + "\n").encode())
+
+
+def read_json(path: Path) -> dict[str, Any] | None:
+    """The object in `path`; None where there is no such file.
+
+    Raises:
+        DamagedError: the file cannot be read or does not hold a JSON object.
+    """
+    try:
+        with path.open("rb") as file:
+            value = json.loads(file.read())
+    except (FileNotFoundError, NotADirectoryError):
+        return None
+    except (OSError, ValueError) as error:
+        raise DamagedError(f"{path} cannot be read: {error}", "move it away; what it recorded is made again") from error
+    if not isinstance(value, dict):
+        raise DamagedError(f"{path} does not hold a JSON object", "move it away; what it recorded is made again")
+    return value
+
+
+def remove_leftovers(folder: Path) -> None:
+    """Remove temporary files of writers that died in `folder`. Only for the one that owns the folder."""
+    for path in folder.glob(".*.tmp"):
+        path.unlink(missing_ok=True)
+
+
+def set_aside(path: Path, suffix: str) -> Path:
+    """Rename `path` to the first free `<path>.<suffix>-N`, durably, and return that name."""
+    number = 1
+    while (aside := path.with_name(f"{path.name}.{suffix}-{number}")).exists():
+        number += 1
+    path.replace(aside)
+    _sync_folder(path.parent)
+    return aside
+
+
+def try_lock(path: Path, patience_s: float = 0.0) -> int | None:
+    """Take the exclusive lock behind `path`, creating the file; None if another process holds it all the while.
+
+    Returns:
+        A file descriptor; closing it, or dying, frees the lock.
+
+    Raises:
+        StorageError: the file cannot be created.
+    """
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o666)
+    except OSError as error:
+        raise storage_error(path, error) from error
+    deadline = time.monotonic() + patience_s
+    while True:
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            return descriptor
+        except BlockingIOError:
+            if time.monotonic() >= deadline:
+                os.close(descriptor)
+                return None
+            time.sleep(0.02)
+        except OSError as error:
+            os.close(descriptor)
+            raise storage_error(path, error) from error
+
+
+@contextlib.contextmanager
+def locked(path: Path) -> Iterator[None]:
+    """Hold the exclusive lock behind `path`, waiting for it; for moments, not for runs."""
+    descriptor = try_lock(path, patience_s=60.0)
+    if descriptor is None:
+        raise StorageError(f"{path} was held by another process for a minute", "is an rrmctl paused in its middle?")
+    try:
+        yield
+    finally:
+        os.close(descriptor)
+
+
+def is_locked(path: Path) -> bool:
+    """Whether a living process holds the lock behind `path`. Works on folders that cannot be written."""
+    try:
+        descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
+    except (FileNotFoundError, NotADirectoryError):
+        return False
+    try:
+        # Shared and for an instant: two readers do not disturb each other, and a worker that meets one waits a moment.
+        fcntl.flock(descriptor, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return True
+    finally:
+        os.close(descriptor)
+    return False
+
+
+def _write_through(path: Path, data: bytes) -> None:
+    with path.open("wb") as file:
+        file.write(data)
+        file.flush()
+        os.fsync(file.fileno())
+
+
+def _sync_folder(folder: Path) -> None:
+    descriptor = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)

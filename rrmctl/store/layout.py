@@ -1,0 +1,123 @@
+"""Where everything lies below a results root. No other file spells a path.
+
+runs/<id>/config.json         the full configuration, and the run's id, cell and method
+runs/<id>/provenance.json     versions, machine, code and environment it ran with; what changed at each resumption
+runs/<id>/curve.parquet       one row per evaluation
+runs/<id>/status.json         state, attempt, progress, error
+runs/<id>/log.txt             everything the worker printed
+runs/<id>/lock                held by the worker while it owns the run
+runs/<id>/checkpoint/         the trainer's own, gone when the run is done
+runs/<id>/model.safetensors   the final networks
+sweeps/<experiment>/<variant>.json   what `run` was asked for
+aggregates/<experiment>.parquet      interquartile mean curves
+"""
+
+from __future__ import annotations
+
+import os
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+from rrmctl.errors import UserError
+
+#: Names that become a file's: no separators, nothing hidden, no way out of the results root.
+_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,127}")
+
+
+@dataclass(frozen=True)
+class RunFolder:
+    """The files of one run."""
+
+    path: Path
+
+    @property
+    def id(self) -> str:
+        """The run's identity."""
+        return self.path.name
+
+    @property
+    def config(self) -> Path:
+        """Written once, before the run starts."""
+        return self.path / "config.json"
+
+    @property
+    def provenance(self) -> Path:
+        """Written when the run starts, extended when it resumes."""
+        return self.path / "provenance.json"
+
+    @property
+    def curve(self) -> Path:
+        """Replaced after each evaluation."""
+        return self.path / "curve.parquet"
+
+    @property
+    def status(self) -> Path:
+        """Replaced at each change of state and every few seconds in between."""
+        return self.path / "status.json"
+
+    @property
+    def log(self) -> Path:
+        """Only ever appended to."""
+        return self.path / "log.txt"
+
+    @property
+    def lock(self) -> Path:
+        """Empty; what counts is who holds it."""
+        return self.path / "lock"
+
+    def trained(self) -> tuple[Path, ...]:
+        """What training leaves, to be removed when a run starts from nothing."""
+        return (self.curve, self.provenance, self.path / "checkpoint", self.path / "model.safetensors")
+
+
+@dataclass(frozen=True)
+class Layout:
+    """The folders and files below one results root."""
+
+    root: Path
+
+    def run(self, run: str) -> RunFolder:
+        """The folder of the run with this id, whether or not it exists."""
+        return RunFolder(self.root / "runs" / _checked("run", run))
+
+    def run_ids(self) -> list[str]:
+        """Ids of all run folders, sorted."""
+        return _names(self.root / "runs")
+
+    def sweep(self, experiment: str, variant: str) -> Path:
+        """The record of one variant of an experiment."""
+        return self._sweeps(experiment) / f"{_checked('variant', variant)}.json"
+
+    def sweep_lock(self, experiment: str) -> Path:
+        """Held while a sweep record is read, extended and written back."""
+        return self._sweeps(experiment) / ".lock"
+
+    def sweep_files(self, experiment: str) -> list[Path]:
+        """The records of all variants of an experiment, sorted; none where it never ran here."""
+        return [self._sweeps(experiment) / name for name in _names(self._sweeps(experiment)) if name.endswith(".json")]
+
+    def experiments(self) -> list[str]:
+        """Experiments with a sweep record, sorted."""
+        return _names(self.root / "sweeps")
+
+    def aggregate(self, experiment: str) -> Path:
+        """The interquartile mean curves of an experiment."""
+        return self.root / "aggregates" / f"{_checked('experiment', experiment)}.parquet"
+
+    def _sweeps(self, experiment: str) -> Path:
+        return self.root / "sweeps" / _checked("experiment", experiment)
+
+
+def _names(folder: Path) -> list[str]:
+    try:
+        with os.scandir(folder) as entries:
+            return sorted(entry.name for entry in entries if not entry.name.startswith("."))
+    except (FileNotFoundError, NotADirectoryError):
+        return []
+
+
+def _checked(kind: str, name: str) -> str:
+    if not _NAME.fullmatch(name):
+        raise UserError(f"{kind} {name!r} cannot name a file", "letters, digits, dots, dashes and underscores, please")
+    return name

@@ -1,0 +1,154 @@
+"""What a run ran with: versions, machine, code and environment; and what had changed whenever it was resumed."""
+
+from __future__ import annotations
+
+import dataclasses
+import datetime
+import hashlib
+import importlib.metadata
+import importlib.util
+import json
+import os
+import platform
+import socket
+import sys
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from rrmctl.store.atomic import read_json, write_json
+from rrmctl.store.layout import RunFolder
+from rrmctl.store.schema import SCHEMA_VERSION
+
+#: Packages whose version can change a number or a file.
+PACKAGES = (
+    "rrmctl", "torch", "numpy", "gymnasium", "metaworld", "mujoco", "dm-control", "pyarrow", "pydantic", "safetensors"
+)  # fmt: skip
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Provenance:
+    """Facts about one attempt. All but the last four can change a run's numbers, and are compared on resumption."""
+
+    python: str
+    platform: str  #: system and machine type
+    cpu: str  #: model of the processor
+    versions: dict[str, str]  #: of PACKAGES, "absent" where not installed
+    code: str  #: digest of the library's sources
+    config: str  #: digest of config.json
+    fingerprint: dict[str, str]  #: of the environment: its packages, and a hash of its true reward on fixed states
+    precision: str
+    threads: int
+    started: str  #: UTC, ISO 8601
+    host: str
+    argv: list[str]  #: the command that asked for the run
+    attempt: int
+
+
+_CIRCUMSTANCES = ("started", "host", "argv", "attempt")
+
+
+def collect(config: Mapping[str, Any], fingerprint: Mapping[str, str], argv: Sequence[str], attempt: int) -> Provenance:
+    """The provenance of an attempt that starts now, in this process."""
+    return Provenance(
+        python=platform.python_version(),
+        platform=f"{platform.system()} {platform.machine()}",
+        cpu=cpu_model(),
+        versions={name: _version(name) for name in PACKAGES},
+        code=code_digest("rrm"),
+        config=hashlib.sha256(json.dumps(config, sort_keys=True).encode()).hexdigest()[:16],
+        fingerprint=dict(fingerprint),
+        precision=str(config["precision"]),
+        threads=int(config["threads"]),
+        started=datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
+        host=socket.gethostname(),
+        argv=list(argv),
+        attempt=attempt,
+    )
+
+
+def record(folder: RunFolder, now: Provenance) -> list[str]:
+    """Write the provenance of a run's first attempt, or add that of a later one.
+
+    Returns:
+        What differs from the attempt before, one line each, such as `versions.torch: 2.6.0 -> 2.7.1`.
+
+    Raises:
+        DamagedError: the file that is there is damaged.
+        StorageError: the folder takes no write.
+    """
+    known = read_json(folder.provenance)
+    facts = dataclasses.asdict(now)
+    if known is None:
+        write_json(folder.provenance, {"schema_version": SCHEMA_VERSION, **facts, "resumed": []})
+        return []
+    changes = differences(_latest(known), facts)
+    entry = {name: facts[name] for name in _CIRCUMSTANCES} | {"changes": changes}
+    known["resumed"] = [*known.get("resumed", []), entry]
+    write_json(folder.provenance, known)
+    return [f"{name}: {before} -> {after}" for name, (before, after) in changes.items()]
+
+
+def differences(before: Mapping[str, Any], after: Mapping[str, Any]) -> dict[str, tuple[str, str]]:
+    """Facts that can change numbers and differ, by dotted name, with both values; one that is missing is "absent"."""
+    old, new = _flat(before), _flat(after)
+    pairs = {name: (old.get(name, "absent"), new.get(name, "absent")) for name in sorted(old | new)}
+    return {name: pair for name, pair in pairs.items() if pair[0] != pair[1]}
+
+
+def code_digest(package: str) -> str:
+    """Digest over the names and contents of a package's Python files, found without importing it."""
+    spec = importlib.util.find_spec(package)
+    assert spec is not None and spec.submodule_search_locations is not None
+    digest = hashlib.sha256()
+    for root in map(Path, spec.submodule_search_locations):
+        for path in sorted(root.rglob("*.py")):
+            content = hashlib.sha256(path.read_bytes()).hexdigest()
+            digest.update(f"{path.relative_to(root).as_posix()} {content}\n".encode())
+    return digest.hexdigest()[:16]
+
+
+def cpu_model() -> str:
+    """The processor's name as the system tells it, "unknown" where it does not."""
+    info = Path("/proc/cpuinfo")
+    if info.is_file():
+        for line in info.read_text(errors="replace").splitlines():
+            name, _, value = line.partition(":")
+            if name.strip() == "model name":
+                return value.strip()
+    return platform.processor() or "unknown"
+
+
+def usable_cores() -> int:
+    """Cores this process may run on, which a container or batch system can make fewer than the machine has."""
+    if sys.platform == "linux":
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+def _latest(known: Mapping[str, Any]) -> dict[str, Any]:
+    """The first attempt's facts with the changes of every resumption applied."""
+    facts = _flat(known)
+    for entry in known.get("resumed", []):
+        facts |= {name: after for name, (_, after) in entry["changes"].items()}
+    return facts
+
+
+def _flat(facts: Mapping[str, Any]) -> dict[str, str]:
+    """The compared facts as text, by dotted name; facts that are flat already stay as they are."""
+    flat: dict[str, str] = {}
+    for name, value in facts.items():
+        if name in (*_CIRCUMSTANCES, "resumed", "schema_version"):
+            continue
+        if isinstance(value, Mapping):
+            flat |= {f"{name}.{key}": str(item) for key, item in value.items()}
+        else:
+            flat[name] = str(value)
+    return flat
+
+
+def _version(package: str) -> str:
+    try:
+        return importlib.metadata.version(package)
+    except importlib.metadata.PackageNotFoundError:
+        return "absent"

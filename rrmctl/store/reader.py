@@ -1,0 +1,212 @@
+"""Reading the store, at any time, while any number of workers write to it. Nothing is skipped silently."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from collections.abc import Iterable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from rrmctl.errors import UserError
+from rrmctl.store.atomic import DamagedError, is_locked, read_json
+from rrmctl.store.layout import Layout, RunFolder
+from rrmctl.store.records import ErrorKind, JobRecord, RunError, State, Status, SweepRecord, read_status, read_sweeps
+from rrmctl.store.schema import IDENTITY, LABELS, MEASURED, SCHEMA_VERSION, VERSION_KEY, curve_schema
+
+if TYPE_CHECKING:
+    import pandas as pd
+    import pyarrow as pa
+
+
+def run_status(folder: RunFolder) -> Status:
+    """Where the run stands now: one that says it is running while nobody holds its lock is interrupted.
+
+    A damaged status file gives the state `unreadable` with the reason.
+    """
+    try:
+        status = read_status(folder)
+    except DamagedError as error:
+        problem = RunError(kind=ErrorKind.STORAGE, type="DamagedError", message=str(error))
+        return Status(state=State.UNREADABLE, error=problem)
+    if status.state is State.RUNNING and not is_locked(folder.lock):
+        return dataclasses.replace(status, state=State.INTERRUPTED)
+    return status
+
+
+def statuses(layout: Layout, jobs: Iterable[JobRecord]) -> dict[str, Status]:
+    """Status of every run named by `jobs`, by id. Ten thousand take well under a second."""
+    return {run: run_status(layout.run(run)) for run in dict.fromkeys(job.id for job in jobs)}
+
+
+def read_config(folder: RunFolder) -> dict[str, Any]:
+    """The run's `config.json`.
+
+    Raises:
+        UserError: there is none, or it is damaged.
+    """
+    config = read_json(folder.config)
+    if config is None:
+        raise UserError(f"{folder.config} is missing", "run its experiment again: `rrmctl run NAME` writes it anew")
+    return config
+
+
+def read_curve(folder: RunFolder) -> pa.Table | None:
+    """The run's curve as an arrow table; None before its first evaluation.
+
+    Raises:
+        DamagedError: the file is not an intact curve of this schema version.
+    """
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    path = folder.curve
+    try:
+        # In one read: the file may be replaced by its successor at any moment, and this one stays what it was.
+        data = path.read_bytes()
+    except (FileNotFoundError, NotADirectoryError):
+        return None
+    except OSError as error:
+        raise DamagedError(f"{path} cannot be read: {error.strerror}", "check its permissions") from error
+    try:
+        file = pq.ParquetFile(pa.BufferReader(data), page_checksum_verification=True)
+        version = (file.schema_arrow.metadata or {}).get(VERSION_KEY, b"none").decode()
+        table = file.read()
+    except (pa.ArrowException, OSError, ValueError) as error:
+        raise DamagedError(f"{path} is damaged: {error}", _AGAIN) from error
+    if version != str(SCHEMA_VERSION):
+        raise DamagedError(f"{path} is of schema version {version}, this program reads {SCHEMA_VERSION}", _AGAIN)
+    if not table.schema.equals(curve_schema()):
+        raise DamagedError(f"{path} is damaged: its columns are not those of a curve", _AGAIN)
+    return table
+
+
+_AGAIN = "bring back a copy, or train the run again with --force"
+
+
+def load(results: str | Path = "results", experiment: str | None = None) -> pd.DataFrame:
+    """Every evaluation in the store as a tidy DataFrame: one row per experiment, run and evaluation.
+
+    Args:
+        results: the results root.
+        experiment: only this one; default all, and runs that no sweep asked for under the experiment "".
+
+    Returns:
+        Columns `experiment, variant, profile, task, method, teacher, feedback, seed, run, cell, state`, then those of
+        `rrm.types.EvalRow`. A run that two experiments or two labels share appears once for each.
+
+    Raises:
+        UserError: the experiment has never been run here, or a file is damaged; the message names it.
+    """
+    import pandas as pd
+
+    table = planned(results, experiment)
+    layout = Layout(Path(results))
+    if experiment is None:
+        table = pd.concat([table, _unplanned(layout, set(table["run"]))], ignore_index=True)
+    curves = _curves(layout, list(dict.fromkeys(table["run"])))
+    labels = table[[*LABELS, "run", "cell", "state"]]
+    return labels.merge(curves, on="run", how="inner", sort=False)
+
+
+def planned(results: str | Path = "results", experiment: str | None = None) -> pd.DataFrame:
+    """Every job a sweep asked for, with where it stands, as a DataFrame.
+
+    Returns:
+        The columns of `PLANNED`: `overrides` is JSON, `state` one of `rrmctl.store.records.State`, `step` the last
+        known of a run and `steps` its length, `error` empty where there was none.
+
+    Raises:
+        UserError: the experiment has never been run here, or a sweep record is damaged.
+    """
+    import pandas as pd
+
+    layout = open_results(results)
+    sweeps = find_sweeps(layout, experiment) if experiment is not None else read_sweeps(layout)
+    states = statuses(layout, (job for sweep in sweeps for job in sweep.jobs))
+    rows = [_planned_row(sweep, job, states[job.id]) for sweep in sweeps for job in sweep.jobs]
+    return pd.DataFrame(rows, columns=list(PLANNED))
+
+
+#: Columns of `planned`.
+PLANNED = (
+    "experiment", "variant", "profile", "overrides", "task", "method", "teacher", "feedback", "seed", "run", "cell",
+    "state", "attempt", "step", "steps", "error",
+)  # fmt: skip
+
+
+def open_results(results: str | Path) -> Layout:
+    """The layout of an existing results root.
+
+    Raises:
+        UserError: there is no such folder.
+    """
+    root = Path(results)
+    if not root.is_dir():
+        raise UserError(f"there is no results folder {root}", "`rrmctl run` makes one; --results names another")
+    return Layout(root)
+
+
+def find_sweeps(layout: Layout, experiment: str) -> list[SweepRecord]:
+    """The variants of an experiment that were run here.
+
+    Raises:
+        UserError: none was; the message lists what is there.
+    """
+    sweeps = read_sweeps(layout, experiment)
+    if not sweeps:
+        known = ", ".join(layout.experiments()) or "nothing yet"
+        raise UserError(
+            f"{layout.root} holds no runs of {experiment!r}; it holds: {known}",
+            f"start it with `rrmctl run {experiment}`, or name another folder with --results",
+        )
+    return sweeps
+
+
+def find_run(layout: Layout, prefix: str) -> RunFolder:
+    """The folder of the one run whose id starts with `prefix`.
+
+    Raises:
+        UserError: none does, or several do.
+    """
+    matches = [run for run in layout.run_ids() if run.startswith(prefix)]
+    if len(matches) == 1:
+        return layout.run(matches[0])
+    if not matches:
+        raise UserError(f"no run in {layout.root} starts with {prefix!r}", "`rrmctl status --failed` lists ids")
+    shown = ", ".join(matches[:8]) + (", ..." if len(matches) > 8 else "")
+    raise UserError(f"{prefix!r} stands for {len(matches)} runs: {shown}", "give more digits")
+
+
+def _planned_row(sweep: SweepRecord, job: JobRecord, status: Status) -> tuple[Any, ...]:
+    overrides = json.dumps(sweep.overrides, sort_keys=True)
+    labels = (job.task, job.method, job.teacher, job.feedback, job.seed, job.id, job.cell)
+    progress = (str(status.state), status.attempt, status.step, job.steps, str(status.error or ""))
+    return (sweep.experiment, sweep.variant, sweep.profile, overrides, *labels, *progress)
+
+
+def _unplanned(layout: Layout, known: set[str]) -> pd.DataFrame:
+    """Rows like those of `planned`, for run folders that no sweep names."""
+    import pandas as pd
+
+    rows = []
+    for run in (name for name in layout.run_ids() if name not in known):
+        config, status = read_config(layout.run(run)), run_status(layout.run(run))
+        told = {key: config.get(key) for key in ("profile", "task", "method", "seed", "cell", "steps")}
+        blank = {"experiment": "", "variant": "", "overrides": "{}", "teacher": "", "feedback": ""}
+        progress = {"state": str(status.state), "attempt": status.attempt, "step": status.step}
+        rows.append(blank | told | progress | {"run": run, "error": str(status.error or "")})
+    return pd.DataFrame(rows, columns=list(PLANNED))
+
+
+def _curves(layout: Layout, runs: Sequence[str]) -> pd.DataFrame:
+    """`run` and the measured columns of all these runs."""
+    import pyarrow as pa
+
+    # Threads: parsing frees the interpreter, and on network disks the waiting counts most.
+    with ThreadPoolExecutor(max_workers=8) as threads:
+        tables = [table for table in threads.map(lambda run: read_curve(layout.run(run)), runs) if table is not None]
+    curves: pa.Table = pa.concat_tables([curve_schema().empty_table(), *tables])
+    frame: pd.DataFrame = curves.drop_columns([name for name in IDENTITY if name != "run"]).to_pandas()
+    return frame[["run", *MEASURED]]
