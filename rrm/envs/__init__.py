@@ -1,0 +1,22 @@
+"""The tasks, what of their state each one reveals, and their environments. No simulator is imported here.
+
+`make(name)` gives a bare environment. For `gymnasium.make("rrm/<name>-v0")`, call `register()` first; where gymnasium
+is loaded already, importing this package does so.
+"""
+
+import sys
+
+from rrm.envs.tasks import TASKS, Task, make, task
+
+__all__ = ["TASKS", "Task", "make", "register", "task"]
+
+
+def register() -> None:
+    """Put every task into gymnasium's registry, as `rrm/<name>-v0`."""
+    from rrm.envs import registration
+
+    registration.register()
+
+
+if "gymnasium" in sys.modules:  # planning must not pay for importing it, and need not where it is there
+    register()

@@ -1,0 +1,100 @@
+"""DM-Control's walker-walk and quadruped-walk as gymnasium environments; the paper reports their return.
+
+Observations are the suite's, concatenated in its own order. Actions lie in [-1, 1] and are mapped to the suite's
+bounds, which differ from joint to joint in the quadruped. The true reward is the suite's, in [0, 1]; there is no
+success criterion, and `info` is empty.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Mapping
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from rrm.envs.base import MUJOCO_BOUND, Doubles, TaskEnv
+from rrm.errors import ConfigError, NumericalError
+from rrm.types import State
+
+with warnings.catch_warnings():
+    warnings.simplefilter("ignore")  # without a display, its search for OpenGL warns; nothing is rendered here
+    from dm_control import suite
+    from dm_control.rl.control import PhysicsError
+
+#: Everything that integration depends on, the solver's warm start included.
+_SPEC = mujoco.mjtState.mjSTATE_INTEGRATION
+_LONGEST = 1000
+
+
+class DmcEnv(TaskEnv):
+    """A task of the suite, with episodes of 1000 steps.
+
+    Args:
+        domain, task: the suite's names, such as "walker" and "walk".
+        horizon: steps of an episode, at most 1000.
+        render_mode: none is offered.
+
+    Raises:
+        ConfigError: the suite has no such task, or no such horizon.
+    """
+
+    def __init__(self, domain: str, task: str, horizon: int = _LONGEST, render_mode: str | None = None) -> None:
+        if (domain, task) not in suite.ALL_TASKS:
+            raise ConfigError(f"DM-Control's suite has no task {task!r} in domain {domain!r}")
+        if horizon > _LONGEST:
+            raise ConfigError(f"horizon is {horizon}; the suite's episodes have {_LONGEST} steps at the most")
+        self.sim = suite.load(domain, task, task_kwargs={"random": 0})  # seeded anew at every reset
+        actions = self.sim.action_spec()
+        self._middle = (actions.maximum + actions.minimum) / 2
+        self._half = (actions.maximum - actions.minimum) / 2
+        super().__init__(
+            -MUJOCO_BOUND,
+            MUJOCO_BOUND,
+            obs_dim=_observation_length(self.sim),
+            act_dim=actions.shape[0],
+            horizon=horizon,
+            render_mode=render_mode,
+        )
+
+    def _begin(self) -> Doubles:
+        self.sim.task.random.seed(int(self.np_random.integers(2**32)))
+        return _flat(self.sim.reset().observation)
+
+    def _advance(self, action: Doubles) -> tuple[Doubles, float, dict[str, float]]:
+        try:
+            step = self.sim.step(self._middle + self._half * action)
+        except PhysicsError as error:
+            raise NumericalError(
+                f"the simulation diverged at step {self._steps} under action {action.tolist()}: {error}"
+            ) from error
+        return _flat(step.observation), step.reward, {}
+
+    def _save(self) -> State:
+        physics = self.sim.physics
+        state = np.empty(mujoco.mj_stateSize(physics.model.ptr, _SPEC))
+        mujoco.mj_getState(physics.model.ptr, physics.data.ptr, state, _SPEC)
+        return {"physics": state, "step_count": self.sim._step_count}
+
+    def _restore(self, state: State) -> None:
+        self.sim.reset()
+        physics = self.sim.physics
+        mujoco.mj_setState(physics.model.ptr, physics.data.ptr, state["physics"], _SPEC)
+        # The suite finishes a step with the first half of the next (positions and velocities), which must be redone.
+        mujoco.mj_step1(physics.model.ptr, physics.data.ptr)
+        self.sim._step_count = int(state["step_count"])
+
+    def close(self) -> None:
+        self.sim.close()
+
+
+def _flat(observation: Mapping[str, Doubles]) -> Doubles:
+    return np.concatenate([np.ravel(part) for part in observation.values()])
+
+
+def _observation_length(sim: Any) -> int:
+    with warnings.catch_warnings():
+        # The quadruped looks its sensors up by `np.in1d` the first time it is asked, and remembers them.
+        warnings.simplefilter("ignore", DeprecationWarning)
+        return sum(int(np.prod(spec.shape)) for spec in sim.observation_spec().values())

@@ -1,0 +1,112 @@
+"""Meta-World v3 with the reward "v2", as the paper uses it: a fresh task instance at every reset, the goal visible.
+
+The library's own ways to draw an instance are not used. With `_freeze_rand_vec=False` (B-Pref's way) it draws twice
+per reset, and in window-open and door-unlock the first observation and the reward's margins then belong to the first
+draw. Here the random vector comes from the environment's own stream and is frozen for the episode, which makes an
+episode a pure function of that vector and its actions.
+
+`info["success"]` is the library's, for the step at hand: it is not latched. The other entries of `info` are the
+library's too, as floats.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import metaworld.env_dict
+import mujoco
+import numpy as np
+from metaworld.sawyer_xyz_env import SawyerXYZEnv
+
+from rrm.envs.base import MUJOCO_BOUND, Doubles, TaskEnv
+from rrm.errors import ConfigError, NumericalError, UnknownNameError
+from rrm.types import State
+
+#: Everything that integration depends on, the solver's warm start included.
+_SPEC = mujoco.mjtState.mjSTATE_INTEGRATION
+_LONGEST = int(SawyerXYZEnv.max_path_length)
+
+
+class MetaWorldEnv(TaskEnv):
+    """One of Meta-World's tasks: 39 numbers in, 4 out (hand velocity in x, y, z; gripper effort).
+
+    Args:
+        task: Meta-World's name, such as "button-press-v3".
+        horizon: steps of an episode, at most 500.
+        render_mode: none is offered.
+
+    Raises:
+        UnknownNameError, ConfigError: no such task, or no such horizon.
+    """
+
+    def __init__(self, task: str, horizon: int = _LONGEST, render_mode: str | None = None) -> None:
+        super().__init__(
+            -MUJOCO_BOUND, MUJOCO_BOUND, obs_dim=39, act_dim=4, horizon=horizon, render_mode=render_mode
+        )  # fmt: skip
+        if horizon > _LONGEST:
+            raise ConfigError(f"horizon is {horizon}; Meta-World's episodes have {_LONGEST} steps at the most")
+        self.sim = _simulator(task)
+        self._task = task
+        self._vector = np.zeros(0)
+
+    def _begin(self) -> Doubles:
+        return self._start(self._draw())
+
+    def _draw(self) -> Doubles:
+        space = self.sim._random_reset_space
+        while True:
+            vector: Doubles = self.np_random.uniform(space.low, space.high)
+            # Sweep-into repeats its draw until the puck is clear of the hole; with a frozen vector, forever.
+            if self._task != "sweep-into-v3" or np.linalg.norm(vector[:2] - self.sim.goal[:2]) >= 0.15:
+                return vector
+
+    def _start(self, vector: Doubles) -> Doubles:
+        self._vector = vector
+        self.sim._last_rand_vec = vector.copy()
+        obs: Doubles = self.sim.reset()[0]
+        return obs
+
+    def _advance(self, action: Doubles) -> tuple[Doubles, float, dict[str, float]]:
+        before = self.sim.data.time
+        obs, reward, _, _, info = self.sim.step(action)
+        if self.sim.data.time <= before:  # MuJoCo restarts a simulation that diverges, clock included
+            raise NumericalError(f"the simulation diverged at step {self._steps} under action {action.tolist()}")
+        return obs, reward, {name: float(value) for name, value in info.items()}
+
+    def _save(self) -> State:
+        sim = self.sim
+        physics = np.empty(mujoco.mj_stateSize(sim.model, _SPEC))
+        mujoco.mj_getState(sim.model, sim.data, physics, _SPEC)
+        return {
+            "vector": self._vector.copy(),
+            "physics": physics,
+            "previous_obs": sim._prev_obs.copy(),
+            "path_length": sim.curr_path_length,
+        }
+
+    def _restore(self, state: State) -> None:
+        sim = self.sim
+        # The reset rebuilds what is not in MuJoCo's state: moved bodies and sites of the model, the goal, the margins
+        # of the reward, and attributes that are live views into the simulation (copies would change the reward).
+        self._start(np.array(state["vector"], dtype=np.float64))
+        mujoco.mj_setState(sim.model, sim.data, state["physics"], _SPEC)
+        mujoco.mj_forward(sim.model, sim.data)
+        mujoco.mj_setState(sim.model, sim.data, state["physics"], _SPEC)  # forward overwrote the warm start
+        sim._prev_obs = np.array(state["previous_obs"], dtype=np.float64)
+        sim.curr_path_length = int(state["path_length"])
+
+    def close(self) -> None:
+        self.sim.close()
+
+
+def _simulator(task: str) -> Any:
+    classes = metaworld.env_dict.ALL_V3_ENVIRONMENTS
+    if task not in classes:
+        raise UnknownNameError("Meta-World task", task, classes)
+    sim = classes[task]()
+    sim._set_task_called = True  # step() refuses to run otherwise
+    sim._partially_observable = False
+    # The cached space still has the hidden goal's bounds, zero and zero, to which every step's observation is clipped.
+    sim.__dict__.pop("sawyer_observation_space", None)
+    sim._freeze_rand_vec = True
+    return sim

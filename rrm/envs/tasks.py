@@ -1,0 +1,111 @@
+"""The one place that says what each task is and where its named features stand in the observation.
+
+A feature is a slice of the observation in metres (`hand`, `object`, `goal`), the uprightness of the torso (`upright`,
+the z component of its z axis, in [-1, 1]) or a distance (`clearance`, metres to the nearest obstacle's edge). Priors
+ask for features by name and never index an observation.
+"""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Literal
+
+from rrm.errors import ConfigError, UnknownNameError
+
+if TYPE_CHECKING:
+    from rrm.interfaces import Env
+
+Score = Literal["success", "return"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Task:
+    """What planning, priors and reports need to know of a task without starting its simulator."""
+
+    name: str  #: as on the command line
+    suite: str  #: "metaworld", "dmc" or "toy"
+    score: Score  #: what the paper reports for it: success rate, or true return
+    horizon: int  #: steps of an episode
+    obs_dim: int  #: length of the observation vector
+    act_dim: int  #: length of the action vector; every action lies in [-1, 1]
+    entry_point: str  #: dotted path of the environment's class
+    kwargs: Mapping[str, str] = field(default_factory=dict)  #: arguments of that class
+    features: Mapping[str, slice] = field(default_factory=dict)  #: name -> where in the observation
+
+    @property
+    def env_id(self) -> str:
+        """The gymnasium id under which the task is registered."""
+        return f"rrm/{self.name}-v0"
+
+
+_HAND_OBJECT_GOAL = {"hand": slice(0, 3), "object": slice(4, 7), "goal": slice(36, 39)}
+
+
+def _metaworld(name: str) -> Task:
+    return Task(
+        name=name, suite="metaworld", score="success", horizon=500, obs_dim=39, act_dim=4,
+        entry_point="rrm.envs.metaworld:MetaWorldEnv", kwargs={"task": f"{name}-v3"}, features=_HAND_OBJECT_GOAL,
+    )  # fmt: skip
+
+
+def _dmc(name: str, obs_dim: int, act_dim: int, upright: int) -> Task:
+    domain, _, task_name = name.partition("-")
+    return Task(
+        name=name, suite="dmc", score="return", horizon=1000, obs_dim=obs_dim, act_dim=act_dim,
+        entry_point="rrm.envs.dmc:DmcEnv", kwargs={"domain": domain, "task": task_name},
+        features={"upright": slice(upright, upright + 1)},
+    )  # fmt: skip
+
+
+_TOY_CAR = Task(
+    name="toy-car", suite="toy", score="success", horizon=100, obs_dim=16, act_dim=2,
+    entry_point="rrm.envs.toy_car:ToyCarEnv",
+    # The car is what moves and what is to be moved: "hand" and "object" are its position.
+    features={"hand": slice(0, 2), "object": slice(0, 2), "goal": slice(2, 4), "clearance": slice(4, 5)},
+)  # fmt: skip
+
+#: Every task, by its name on the command line.
+TASKS: dict[str, Task] = {
+    t.name: t
+    for t in (
+        *map(_metaworld, ("button-press", "door-open", "door-unlock", "sweep-into", "window-open")),
+        _dmc("walker-walk", 24, 6, upright=0),
+        _dmc("quadruped-walk", 78, 12, upright=47),
+        _TOY_CAR,
+    )
+}
+
+
+def task(name: str) -> Task:
+    """The task of this name.
+
+    Raises:
+        UnknownNameError: there is none; the message suggests the nearest.
+    """
+    try:
+        return TASKS[name]
+    except KeyError:
+        raise UnknownNameError("task", name, TASKS) from None
+
+
+def make(name: str, horizon: int | None = None) -> Env:
+    """A fresh environment of the task, ready for `reset(seed=...)`; its simulator is imported now.
+
+    Args:
+        name: of the task.
+        horizon: steps of an episode where it is to be shorter than the task's own.
+
+    Raises:
+        UnknownNameError: there is no such task.
+        ConfigError: the horizon is below 1 or beyond the task's own.
+    """
+    spec = task(name)
+    if horizon is not None and not 1 <= horizon <= spec.horizon:
+        raise ConfigError(f"horizon is {horizon}; an episode of {name} has between 1 and {spec.horizon} steps")
+    module, _, attribute = spec.entry_point.partition(":")
+    environment: Env = getattr(importlib.import_module(module), attribute)(
+        **spec.kwargs, horizon=horizon or spec.horizon
+    )
+    return environment
