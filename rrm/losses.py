@@ -1,0 +1,53 @@
+"""The equations of the methods as pure functions."""
+
+from __future__ import annotations
+
+import math
+
+from torch import Tensor
+from torch.nn.functional import binary_cross_entropy_with_logits, softplus
+
+_LOG_SQRT_2PI = 0.5 * math.log(2 * math.pi)
+
+
+def preference_logit(r_hat_0: Tensor, r_hat_1: Tensor) -> Tensor:
+    """Log-odds that segment 1 is preferred to segment 0 (Bradley-Terry, paper eq. 1).
+
+    Args:
+        r_hat_0, r_hat_1: reward per step, float32 [..., T]; the rewards of a segment are summed, not averaged.
+
+    Returns:
+        float32 [...]; above zero favours segment 1.
+    """
+    return r_hat_1.sum(dim=-1) - r_hat_0.sum(dim=-1)
+
+
+def preference_loss(logits: Tensor, target: Tensor) -> Tensor:
+    """Cross entropy between labels and preferences, averaged over pairs and summed over members (paper eq. 2).
+
+    Args:
+        logits: log-odds for segment 1 by every member, float32 [N, B].
+        target: probability that segment 1 is preferred, float32 [B] or [N, B]; 0.5 for a tie.
+
+    Returns:
+        float32 scalar.
+    """
+    losses = binary_cross_entropy_with_logits(logits, target.expand_as(logits), reduction="none")
+    return losses.mean(dim=-1).sum()
+
+
+def squashed_gaussian_log_prob(noise: Tensor, log_std: Tensor, pre_tanh: Tensor) -> Tensor:
+    """Log density of the action `tanh(pre_tanh)`, where `pre_tanh = mean + exp(log_std) * noise` and noise is N(0, 1).
+
+    The log-determinant of tanh, log(1 - tanh(x)^2), is taken as 2 (ln 2 - x - softplus(-2 x)), which stays finite where
+    tanh rounds to one.
+
+    Args:
+        noise, log_std, pre_tanh: float32 [B, A].
+
+    Returns:
+        float32 [B], nats, summed over the A dimensions.
+    """
+    gaussian = -0.5 * noise.square() - log_std - _LOG_SQRT_2PI
+    log_det = 2 * (math.log(2) - pre_tanh - softplus(-2 * pre_tanh))
+    return (gaussian - log_det).sum(dim=-1)

@@ -1,0 +1,174 @@
+"""Several independent MLPs of one shape, stacked so that each layer is one batched matrix product.
+
+The parameters of a stack lie in one flat buffer: an optimiser step or a Polyak average is then a single operation. A
+stack is used in two ways. Calling it is ordinary differentiable code. `forward` and `backward_*` are the same equations
+written out for training loops that want no autograd: they work in a reusable `Tape` and compute only the gradients
+asked for. The tests compare the two, and both with `torch.nn.Linear`.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Literal
+
+import torch
+from torch import Tensor, nn
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+Activation = Literal["relu", "leaky_relu"]
+Init = Literal["orthogonal", "torch"]
+
+LEAK = 0.01  #: slope of leaky_relu below zero
+
+#: Every parameter starts on a cache line, so that results do not depend on the sizes of its neighbours.
+_ALIGN = 16
+
+
+class Tape:
+    """What one `forward` of `batch` rows leaves for a backward pass, and room for the gradients on the way down."""
+
+    def __init__(self, members: int, batch: int, widths: Sequence[int], device: torch.device) -> None:
+        def room(width: int) -> Tensor:
+            return torch.empty(members, batch, width, device=device)
+
+        self.inputs = room(0)  #: what the stack was given, [N, B, in]
+        self.hidden = [room(width) for width in widths[1:-1]]  #: after the activation, [N, B, hidden] each
+        self.outputs = room(widths[-1])  #: [N, B, out]
+        self.deltas = [torch.empty_like(h) for h in self.hidden]
+
+
+class StackedMLP:
+    """`members` MLPs `inputs -> hidden (x layers) -> outputs`, without a non-linearity at the end.
+
+    Args:
+        members: networks in the stack, N.
+        inputs, hidden, layers, outputs: the shape of each.
+        generator: where the initial weights are drawn from, each member as a network of its own; None leaves them zero,
+            for a stack that is about to be loaded or copied into.
+        activation: of the hidden layers; leaky_relu has slope 0.01.
+        init: `orthogonal` with gain 1 and zero biases (B-Pref's agent), or `torch`, `nn.Linear`'s own (its reward).
+        device: where the parameters live; the generator must be of the same device.
+    """
+
+    def __init__(
+        self,
+        members: int,
+        inputs: int,
+        hidden: int,
+        layers: int,
+        outputs: int,
+        *,
+        generator: torch.Generator | None,
+        activation: Activation = "relu",
+        init: Init = "orthogonal",
+        device: torch.device | str = "cpu",
+    ) -> None:
+        self.members = members
+        self.widths = (inputs, *[hidden] * layers, outputs)
+        self.activation = activation
+        self.init = init
+        shapes = [s for i, o in zip(self.widths, self.widths[1:], strict=False) for s in ((i, o), (1, o))]
+        sizes = [members * math.prod(shape) for shape in shapes]
+        padded = [-(-size // _ALIGN) * _ALIGN for size in sizes]
+        self.flat = torch.zeros(sum(padded), device=device)  #: all parameters; the padding between them stays zero
+        self.flat_grad = torch.zeros_like(self.flat)  #: their gradients, filled by `backward_params` or by autograd
+        self._params: list[Tensor] = []
+        self._grads: list[Tensor] = []
+        offset = 0
+        for shape, size, room in zip(shapes, sizes, padded, strict=True):
+            window = slice(offset, offset + size)
+            self._grads.append(self.flat_grad[window].view(members, *shape))
+            self._params.append(self.flat[window].view(members, *shape))
+            offset += room
+        self._leaves = [p.detach().requires_grad_() for p in self._params]
+        if generator is not None:
+            self.initialise(generator)
+
+    def initialise(self, generator: torch.Generator) -> None:
+        """Draw fresh weights in place."""
+        for member in range(self.members):
+            for weight, bias in zip(self._params[::2], self._params[1::2], strict=True):
+                fan_in, fan_out = weight.shape[1:]
+                drawn = torch.empty(fan_out, fan_in, device=weight.device)
+                if self.init == "orthogonal":
+                    nn.init.orthogonal_(drawn, generator=generator)
+                    bias[member].zero_()
+                else:
+                    bound = 1 / math.sqrt(fan_in)
+                    drawn.uniform_(-bound, bound, generator=generator)
+                    bias[member].uniform_(-bound, bound, generator=generator)
+                weight[member].copy_(drawn.t())
+
+    def tape(self, batch: int) -> Tape:
+        """A fresh tape for inputs of `batch` rows, to be used again and again."""
+        return Tape(self.members, batch, self.widths, self.flat.device)
+
+    def parameters(self) -> list[Tensor]:
+        """Leaves for autograd that share memory with `flat`: `[W0, b0, W1, b1, ...]`, W [N, in, out], b [N, 1, out]."""
+        return self._leaves
+
+    def collect_grads(self) -> None:
+        """Zero the gradients and make autograd accumulate into `flat_grad`."""
+        self.flat_grad.zero_()
+        for leaf, grad in zip(self._leaves, self._grads, strict=True):
+            leaf.grad = grad
+
+    def __call__(self, x: Tensor, params: Sequence[Tensor] | None = None) -> Tensor:
+        """Differentiable outputs.
+
+        Args:
+            x: float32 [B, in], the same for every member, or [N, B, in].
+            params: used in place of the stack's own, same order and shapes as `parameters()`.
+
+        Returns:
+            float32 [N, B, out].
+        """
+        params = self._leaves if params is None else params
+        h = x.expand(self.members, -1, -1)
+        for weight, bias in zip(params[:-2:2], params[1:-2:2], strict=True):
+            h = torch.baddbmm(bias, h, weight)
+            h = torch.relu_(h) if self.activation == "relu" else nn.functional.leaky_relu_(h, LEAK)
+        return torch.baddbmm(params[-1], h, params[-2])
+
+    @torch.no_grad()
+    def forward(self, x: Tensor, tape: Tape) -> Tensor:
+        """Outputs [N, B, out] of x, [B, in] or [N, B, in], in the tape; x must not change before the backward pass."""
+        tape.inputs = h = x.expand(self.members, -1, -1)
+        for layer, out in enumerate(tape.hidden):
+            torch.baddbmm(self._params[2 * layer + 1], h, self._params[2 * layer], out=out)
+            if self.activation == "relu":
+                torch.relu_(out)
+            else:
+                nn.functional.leaky_relu_(out, LEAK)
+            h = out
+        return torch.baddbmm(self._params[-1], h, self._params[-2], out=tape.outputs)
+
+    @torch.no_grad()
+    def backward_params(self, grad: Tensor, tape: Tape) -> None:
+        """Overwrite `flat_grad` with a loss' gradient, given its gradient [N, B, out] in the tape's outputs."""
+        for layer in reversed(range(len(self.widths) - 1)):
+            below = tape.hidden[layer - 1] if layer > 0 else tape.inputs
+            torch.bmm(below.transpose(1, 2), grad, out=self._grads[2 * layer])
+            torch.sum(grad, 1, keepdim=True, out=self._grads[2 * layer + 1])
+            if layer > 0:
+                grad = self._descend(layer, grad, tape)
+
+    @torch.no_grad()
+    def backward_inputs(self, grad: Tensor, tape: Tape, columns: slice) -> Tensor:
+        """Gradient in these columns of the tape's inputs, [N, B, columns], for each member by itself."""
+        for layer in reversed(range(1, len(self.widths) - 1)):
+            grad = self._descend(layer, grad, tape)
+        return torch.bmm(grad, self._params[0][:, columns].transpose(1, 2))
+
+    def _descend(self, layer: int, grad: Tensor, tape: Tape) -> Tensor:
+        """From the gradient in a layer's product to the one in the product of the layer below, in the tape's room."""
+        activated = tape.hidden[layer - 1]
+        below = torch.bmm(grad, self._params[2 * layer].transpose(1, 2), out=tape.deltas[layer - 1])
+        # Both activations keep the sign of their input, so their output tells on which side it was.
+        if self.activation == "relu":
+            torch.ops.aten.threshold_backward.grad_input(below, activated, 0, grad_input=below)
+        else:
+            torch.ops.aten.leaky_relu_backward.grad_input(below, activated, LEAK, True, grad_input=below)
+        return below

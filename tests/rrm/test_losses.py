@@ -1,0 +1,68 @@
+"""The equations against hand-worked values and independent implementations."""
+
+import math
+
+import pytest
+import torch
+from hypothesis import given
+from hypothesis import strategies as st
+from torch.distributions import Normal, TanhTransform, TransformedDistribution
+
+from rrm.losses import preference_logit, preference_loss, squashed_gaussian_log_prob
+
+
+def test_preference_logit_by_hand() -> None:
+    """The logit is the difference of the summed rewards, positive where the second segment earns more."""
+    first, second = torch.tensor([[[1.0, 2.0]]]), torch.tensor([[[0.5, 4.0]]])
+    assert preference_logit(first, second).tolist() == [[1.5]]
+    assert preference_logit(second, first).tolist() == [[-1.5]]
+
+
+def test_preference_loss_by_hand() -> None:
+    """Cross entropy with hard and soft labels, averaged over pairs, summed over members."""
+    logits = torch.tensor([[math.log(3.0), 0.0], [0.0, 0.0]])  # probabilities 3/4 and 1/2 for the second segment
+    target = torch.tensor([1.0, 0.5])
+    expected = (-math.log(0.75) + math.log(2)) / 2 + math.log(2)
+    assert preference_loss(logits, target).item() == pytest.approx(expected, rel=1e-6)
+
+
+@given(logit=st.floats(-8, 8), target=st.floats(0, 1))
+def test_preference_loss_equals_softmax(logit: float, target: float) -> None:
+    """It is the cross entropy of a two-way softmax over the segments, as B-Pref writes it."""
+    softmax = torch.log_softmax(torch.tensor([0.0, logit], dtype=torch.float64), dim=0)
+    expected = -((1 - target) * softmax[0] + target * softmax[1]).item()
+    ours = preference_loss(torch.tensor([[logit]], dtype=torch.float64), torch.tensor([target], dtype=torch.float64))
+    assert ours.item() == pytest.approx(expected, abs=1e-12)
+
+
+def test_preference_loss_gradient() -> None:
+    """Its gradient in a logit is predicted minus wanted probability, over the pairs, also at huge logits."""
+    logits = torch.tensor([[0.0, 500.0, -500.0]], requires_grad=True)
+    preference_loss(logits, torch.tensor([1.0, 0.0, 0.0])).backward()
+    assert logits.grad is not None
+    torch.testing.assert_close(logits.grad, torch.tensor([[-0.5 / 3, 1 / 3, 0.0]]))
+
+
+def test_log_prob_equals_torch_distributions() -> None:
+    """The density is that of a Gaussian through tanh, as `torch.distributions` computes it."""
+    torch.manual_seed(0)
+    mean, log_std, noise = (torch.randn(50, 3, dtype=torch.float64) for _ in range(3))
+    transform = TanhTransform(cache_size=1)
+    act = transform(mean + log_std.exp() * noise)
+    expected = TransformedDistribution(Normal(mean, log_std.exp()), transform).log_prob(act).sum(-1)
+    torch.testing.assert_close(squashed_gaussian_log_prob(noise, log_std, mean + log_std.exp() * noise), expected)
+
+
+def test_log_prob_integrates_to_one() -> None:
+    """The density over actions in (-1, 1) has mass one."""
+    pre_tanh = torch.linspace(-12, 12, 20_001, dtype=torch.float64)[:, None]
+    mean, log_std = 0.3, torch.full_like(pre_tanh, -0.4)
+    noise = (pre_tanh - mean) / log_std.exp()
+    density = squashed_gaussian_log_prob(noise, log_std, pre_tanh).exp()
+    assert torch.trapezoid(density, torch.tanh(pre_tanh[:, 0])).item() == pytest.approx(1.0, abs=1e-6)
+
+
+def test_log_prob_is_finite_where_tanh_saturates() -> None:
+    """Far out, where tanh rounds to one in float32, the density stays finite."""
+    pre_tanh = torch.tensor([[60.0], [-60.0]])
+    assert squashed_gaussian_log_prob(torch.zeros(2, 1), torch.zeros(2, 1), pre_tanh).isfinite().all()
