@@ -39,6 +39,11 @@ class Task:
         """The gymnasium id under which the task is registered."""
         return f"rrm/{self.name}-v0"
 
+    @property
+    def reveals(self) -> tuple[str, ...]:
+        """What a prior may ask for: the features, and `success` where the task has such a criterion."""
+        return (*self.features, "success") if self.score == "success" else tuple(self.features)
+
 
 _HAND_OBJECT_GOAL = {"hand": slice(0, 3), "object": slice(4, 7), "goal": slice(36, 39)}
 

@@ -1,0 +1,90 @@
+"""What a prior may look at: named features of the state, the action, and the outcome of the step.
+
+A prior asks for `step.hand` or `step.goal`, never for entries of the observation, so one prior serves every task that
+reveals what it reads. The true reward is not here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.typing as npt
+
+from rrm.envs.tasks import Task
+from rrm.errors import PriorError
+
+if TYPE_CHECKING:
+    from rrm.interfaces import Floats
+
+Position = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Scene:
+    """One state of a task, seen through the features the task reveals.
+
+    Raises:
+        PriorError: from a feature that the task does not reveal.
+    """
+
+    task: Task
+    obs: Floats  #: float32 [O], as the agent sees it
+
+    @property
+    def hand(self) -> Position:
+        """Where the hand (the car) is, metres."""
+        return self.feature("hand")
+
+    @property
+    def object(self) -> Position:
+        """Where the object to be moved is (the car itself on toy-car), metres."""
+        return self.feature("object")
+
+    @property
+    def goal(self) -> Position:
+        """Where the object is to go, metres."""
+        return self.feature("goal")
+
+    @property
+    def upright(self) -> float:
+        """The z component of the torso's z axis, in [-1, 1]; 1 is upright."""
+        return float(self.feature("upright")[0])
+
+    @property
+    def clearance(self) -> float:
+        """Metres to the edge of the nearest obstacle, at least 0."""
+        return float(self.feature("clearance")[0])
+
+    def reveals(self, name: str) -> bool:
+        """Whether the task has this feature, for priors that can do with another."""
+        return name in self.task.reveals
+
+    def feature(self, name: str) -> Position:
+        """The feature's numbers, float64, a copy."""
+        try:
+            where = self.task.features[name]
+        except KeyError:
+            raise PriorError(
+                f'{self.task.name} does not reveal "{name}"; it reveals: {", ".join(self.task.reveals)}'
+            ) from None
+        return self.obs[where].astype(np.float64)
+
+
+@dataclass(frozen=True, slots=True)
+class PriorStep(Scene):
+    """One step (s_t, a_t). Features and `obs` are of s_t, before the step; `info` and `success` are its outcome."""
+
+    act: Floats  #: float32 [A], in [-1, 1]
+    info: Mapping[str, float]  #: of the environment's step
+    rng: np.random.Generator  #: for priors that draw; its state is saved with the run
+    first: Scene  #: the state the episode began with
+
+    @property
+    def success(self) -> float:
+        """1.0 where this step met the task's success criterion, else 0.0."""
+        if self.task.score != "success":
+            raise PriorError(f'{self.task.name} has no "success"; it reveals: {", ".join(self.task.reveals)}')
+        return float(self.info["success"])
