@@ -1,0 +1,55 @@
+"""Options that several commands share, spelled once. Nothing heavy is imported here."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+ExperimentArgument = Annotated[
+    str, typer.Argument(metavar="NAME", help="An experiment of `rrmctl list`, or the path of a manifest of your own.")
+]
+ResultsOption = Annotated[
+    Path, typer.Option("--results", metavar="DIR", envvar="RRMCTL_RESULTS", help="Where runs are kept.")
+]
+ExperimentsOption = Annotated[
+    Path,
+    typer.Option("--experiments", metavar="DIR", envvar="RRMCTL_EXPERIMENTS", help="Where the manifests are."),
+]
+ProfileOption = Annotated[
+    str | None,
+    typer.Option("--profile", help="Scale: paper, laptop, quickstart or smoke. Default: the manifest's, mostly paper."),
+]
+SeedsOption = Annotated[
+    str | None,
+    typer.Option("--seeds", metavar="N|LIST", help="10 means seeds 0 to 9; 0,3,7 means these; 4, means seed 4 alone."),
+]
+TasksOption = Annotated[
+    list[str] | None, typer.Option("--tasks", metavar="A,B", help="Only these tasks of the experiment.")
+]
+MethodsOption = Annotated[
+    list[str] | None, typer.Option("--methods", metavar="A,B", help="Only these methods of the experiment.")
+]
+SetOption = Annotated[
+    list[str] | None,
+    typer.Option("--set", metavar="KEY=VALUE", help="Change a setting of every run, e.g. agent.batch=256. Repeatable."),
+]
+PriorOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--prior",
+        metavar="NAME|FILE.py:FUNCTION",
+        help="Add the residual method on this prior to the experiment. Repeatable.",
+    ),
+]
+
+DEFAULT_RESULTS = Path("results")
+DEFAULT_EXPERIMENTS = Path("experiments")
+
+
+def split_names(values: list[str] | None) -> list[str] | None:
+    """`["a,b", "c"]` as typed on the command line becomes `["a", "b", "c"]`; None stays None."""
+    if values is None:
+        return None
+    return [name.strip() for value in values for name in value.split(",") if name.strip()]

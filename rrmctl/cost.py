@@ -1,0 +1,177 @@
+"""What a plan will cost, in core-hours: from runs of the same kind where the store has some, else from a model.
+
+Measured: `steps / (steps per second)`, the rate being the median over the stored runs of the same task, method and variant.
+
+Modelled, for P weights of a network, B transitions in a batch and G floating-point operations per second of this core in
+matrix products (`measure_gemm`):
+
+    update     0.5 ms + 1.2 * 2 B (4 P_actor + 12 P_critic) / G      forward and backward, twin critics and their target
+    entropy    2 B O S / G more per unsupervised update               distances to the S states of the buffer, O features
+    step       simulator + 0.3 ms                                     acting and storing
+    session    epochs * n / minibatch * (0.5 ms + 1.2 * 12 P_reward * segment * minibatch * members / G)
+               + 1.2 * 2 P_reward * members * step / G                n labels so far; relabelling the buffer
+    evaluation episodes * steps of an episode * (simulator + 0.3 ms)
+
+The constants were fitted on one machine; the result is good to about a factor of 1.5. One job keeps one core busy.
+"""
+
+from __future__ import annotations
+
+import os
+import statistics
+import subprocess
+import sys
+from collections import defaultdict
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from rrmctl.errors import UserError
+
+if TYPE_CHECKING:
+    from rrm.training.config import RunConfig
+    from rrmctl.plan import Job, Plan
+    from rrmctl.store.layout import Layout
+
+#: (task, method, variant) -> environment steps per second, evaluation included.
+Rates = Mapping[tuple[str, str, str], float]
+
+#: Seconds of one environment step, by task or else by suite.
+_SIMULATOR_S = {
+    "metaworld": 1 / 1800, "sweep-into": 1 / 800,
+    "dmc": 1 / 3200, "walker-walk": 1 / 4900,
+    "toy": 1 / 30_000,
+}  # fmt: skip
+_CALL_S = 0.0005  # an update's cost beside its products: launching operations, optimisers
+_ACT_S = 0.0003
+_SLACK = 1.2  # elementwise work beside the products
+
+_PROBE = """
+import time, numpy as np
+a, b = np.ones((256, 256), np.float32), np.ones((256, 256), np.float32)
+best, end = 1.0, time.perf_counter() + 0.03
+while time.perf_counter() < end:
+    start = time.perf_counter()
+    a @ b
+    best = min(best, time.perf_counter() - start)
+print(2 * 256**3 / best)
+"""
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """Cost of every job of a plan on its own core."""
+
+    seconds: Mapping[str, float]  #: by job id, from nothing to the end
+    measured: frozenset[str]  #: ids of the jobs whose rate comes from stored runs
+
+    def core_hours(self, left: Mapping[str, float] | None = None) -> float:
+        """Of all jobs, or of the share of each that is `left` (1 where it is not named)."""
+        share = left or {}
+        return sum(s * share.get(job, 1.0) for job, s in self.seconds.items()) / 3600
+
+    @property
+    def source(self) -> str:
+        """Where the numbers come from, in words."""
+        count, known = len(self.seconds), len(self.measured)
+        if known == count:
+            return "from the speed of stored runs"
+        model = "from the measured speed of one core and a count of operations"
+        return model if known == 0 else f"{known} of {count} jobs from the speed of stored runs, the rest {model}"
+
+
+def estimate(plan: Plan, rates: Rates, gemm: float | None = None) -> Estimate:
+    """The cost of a plan.
+
+    Args:
+        rates: speeds of stored runs; see `stored_rates`.
+        gemm: floating-point operations per second of one core; None measures it if it is needed.
+    """
+    seconds: dict[str, float] = {}
+    measured = set()
+    modelled: dict[tuple[str, ...], float] = {}
+    for job in plan.jobs:
+        rate = rates.get((job.task, job.method, plan.variant))
+        if rate is not None:
+            seconds[job.id] = job.config.steps / rate
+            measured.add(job.id)
+            continue
+        cell = (job.task, job.method, job.teacher, job.feedback)  # seeds cost the same
+        if cell not in modelled:
+            gemm = measure_gemm() if gemm is None else gemm
+            modelled[cell] = model_seconds(job.config, gemm)
+        seconds[job.id] = modelled[cell]
+    return Estimate(seconds, frozenset(measured))
+
+
+def stored_rates(layout: Layout) -> dict[tuple[str, str, str], float]:
+    """The median speed of the store's runs, by task, method and variant."""
+    from rrmctl.store.reader import statuses
+    from rrmctl.store.records import State, read_sweeps
+
+    speeds: dict[tuple[str, str, str], list[float]] = defaultdict(list)
+    for sweep in read_sweeps(layout):
+        states = statuses(layout, sweep.jobs)
+        for job in sweep.jobs:
+            status = states[job.id]
+            if status.state is State.DONE and status.wall_s:
+                speeds[job.task, job.method, sweep.variant].append(status.step / status.wall_s)
+            elif status.steps_per_s:
+                speeds[job.task, job.method, sweep.variant].append(status.steps_per_s)
+    return {key: statistics.median(values) for key, values in speeds.items() if statistics.median(values) > 0}
+
+
+def measure_gemm() -> float:
+    """Floating-point operations per second of one core in matrix products, measured for 30 ms in a process of its own.
+
+    Raises:
+        UserError: numpy does not work here.
+    """
+    one = {f"{name}_NUM_THREADS": "1" for name in ("OMP", "MKL", "OPENBLAS", "VECLIB", "NUMEXPR")}
+    done = subprocess.run([sys.executable, "-c", _PROBE], env=os.environ | one, capture_output=True, text=True, check=False)
+    if done.returncode != 0:
+        last = (done.stderr.strip().splitlines() or ["?"])[-1]
+        raise UserError(f"the speed of this machine cannot be measured: {last}", "`rrmctl doctor` says what is missing")
+    return float(done.stdout)
+
+
+def model_seconds(config: RunConfig, gemm: float) -> float:
+    """Seconds of one run from nothing to its end on one core; the formula is at the top of this module.
+
+    Args:
+        gemm: floating-point operations per second of the core.
+    """
+    spec, agent = config.spec(), config.agent
+    step = _SIMULATOR_S.get(spec.name, _SIMULATOR_S[spec.suite]) + _ACT_S
+    actor = _weights(spec.obs_dim, agent.hidden, agent.layers, 2 * spec.act_dim)
+    critic = _weights(spec.obs_dim + spec.act_dim, agent.hidden, agent.layers, 1)
+    update = _CALL_S + _SLACK * 2 * agent.batch * (4 * actor + 12 * critic) / gemm
+    updates = max(config.steps - config.random_steps, 0) / agent.update_every
+    states = config.random_steps + config.exploration.unsupervised_steps / 2
+    entropy = config.exploration.unsupervised_steps * 2 * agent.batch * spec.obs_dim * states / gemm
+    evaluated = (config.steps // config.evaluation.every + 1) * config.evaluation.episodes * config.episode_steps
+    return (config.steps + evaluated) * step + updates * update + entropy + _reward_seconds(config, gemm)
+
+
+def _reward_seconds(config: RunConfig, gemm: float) -> float:
+    """Every feedback session of the run."""
+    sessions, feedback, reward = config.sessions(), config.feedback, config.reward
+    if sessions == 0 or feedback is None:
+        return 0.0
+    spec = config.spec()
+    inputs = spec.obs_dim + spec.act_dim + (reward.prior is not None)
+    weights = _weights(inputs, reward.hidden, reward.layers, 1) * reward.members
+    fit = _CALL_S + _SLACK * 12 * weights * feedback.segment * reward.minibatch / gemm
+    labels = min(feedback.batch * (sessions + 1) / 2, reward.capacity)  # the mean over the sessions
+    stored = config.first_session + feedback.every * (sessions - 1) / 2
+    relabel = _SLACK * 2 * weights * stored / gemm
+    return sessions * (reward.epochs * max(labels / reward.minibatch, 1) * fit + relabel)
+
+
+def _weights(inputs: int, hidden: int, layers: int, outputs: int) -> int:
+    return inputs * hidden + (layers - 1) * hidden * hidden + hidden * outputs
+
+
+def slowest(jobs: Iterable[Job], cost: Estimate) -> float:
+    """Seconds of the longest job: no number of workers makes the sweep shorter."""
+    return max((cost.seconds[job.id] for job in jobs), default=0.0)

@@ -1,0 +1,245 @@
+"""An experiment as a TOML file: which runs there are, which figure they make, and how it is read.
+
+A manifest is a grid (tasks x methods x teachers x feedback schedules x seeds) plus what differs from the defaults. Only
+its structure is checked here; whether its settings make runs that can be run is for `rrmctl.plan` to say. The format is
+described in docs/extending.md; every key is a field below.
+"""
+
+from __future__ import annotations
+
+import difflib
+import re
+import tomllib
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, StrictInt, StringConstraints, ValidationError, field_validator
+
+from rrmctl.errors import UserError
+
+#: Settings of a run, as nested tables with the keys of `rrm.training.config.RunConfig`.
+Settings = dict[str, Any]
+
+Axis = Literal["tasks", "methods", "teachers", "feedback"]
+Text = Annotated[str, StringConstraints(strict=True, min_length=1, strip_whitespace=True)]
+Names = Annotated[tuple[Text, ...], Field(min_length=1)]
+
+#: The teacher and the schedule of feedback that need no name in a manifest.
+DEFAULT_TEACHER = "oracle"
+DEFAULT_FEEDBACK = "default"
+
+_EXPERIMENT_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]*")
+
+
+class _Frozen(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+
+class Rows(_Frozen):
+    """Some rows of a grid: those that agree with every name given here."""
+
+    task: Text | None = None
+    method: Text | None = None
+    teacher: Text | None = None
+    feedback: Text | None = None
+
+
+class Include(Rows):
+    """Rows beside those of the grid; an axis that is not named takes all of the grid's values."""
+
+    set: Settings = Field(default_factory=dict)  #: settings of these rows alone
+
+
+class Grid(_Frozen):
+    """Axes that are crossed with one another."""
+
+    tasks: Names
+    methods: Names
+    teachers: Names = (DEFAULT_TEACHER,)
+    feedback: Names = (DEFAULT_FEEDBACK,)  #: names of [feedback.NAME] sections
+    zip: tuple[Annotated[tuple[Axis, ...], Field(min_length=2)], ...] = ()  #: axes that advance together
+    include: tuple[Include, ...] = ()
+    exclude: tuple[Rows, ...] = ()
+    set: Settings = Field(default_factory=dict)  #: settings of every row of this grid
+
+    @field_validator("tasks", "methods", "teachers", "feedback")
+    @classmethod
+    def _distinct(cls, names: tuple[str, ...]) -> tuple[str, ...]:
+        twice = sorted({name for name in names if names.count(name) > 1})
+        if twice:
+            raise ValueError(f"named twice: {', '.join(twice)}")
+        return names
+
+    @field_validator("zip")
+    @classmethod
+    def _paired_once(cls, groups: tuple[tuple[str, ...], ...]) -> tuple[tuple[str, ...], ...]:
+        axes = [axis for group in groups for axis in group]
+        twice = sorted({axis for axis in axes if axes.count(axis) > 1})
+        if twice:
+            raise ValueError(f"an axis can be paired once only: {', '.join(twice)}")
+        return groups
+
+
+class MethodTable(_Frozen):
+    """A method of the manifest's own, or settings of a known one."""
+
+    learner: Text | None = None  #: a learner's name, `true`, `prior`, or `file.py:Class`
+    prior: Text | None = None  #: a prior's name, or `file.py:function`
+    settings: Settings = Field(default_factory=dict)
+
+
+class Manifest(_Frozen):
+    """One experiment. Numbers of settings are at the paper's scale; `rrmctl.plan` says how profiles scale them."""
+
+    name: str  #: the file's stem
+    path: Path  #: where it was read from
+    title: Text
+    reproduces: Names  #: figures and tables of the paper, or what else it is for
+    rule: Text  #: one sentence: what is reported, and at which step
+    default_profile: Text = "paper"  #: the scale when none is asked for
+    seeds: StrictInt | tuple[StrictInt, ...] = 10  #: a number of seeds from 0 up, or a list of them
+    grids: Annotated[tuple[Grid, ...], Field(min_length=1)]
+    defaults: Settings = Field(default_factory=dict)  #: settings of every run
+    tasks: dict[str, Settings] = Field(default_factory=dict)  #: [task.NAME]
+    methods: dict[str, MethodTable] = Field(default_factory=dict)  #: [method.NAME]
+    teachers: dict[str, Settings] = Field(default_factory=dict)  #: [teacher.NAME]: keys of `TeacherConfig`
+    feedback: dict[str, Settings] = Field(default_factory=dict)  #: [feedback.NAME]: keys of `FeedbackConfig`
+    profiles: dict[str, Settings] = Field(default_factory=dict)  #: [profile.NAME]: taken as they stand, not scaled
+
+
+#: Keys and sections of a manifest, and the fields they fill where the two differ.
+_SECTIONS = {"task": "tasks", "method": "methods", "teacher": "teachers", "profile": "profiles", "grid": "grids"}
+_KEYS = {"title", "reproduces", "rule", "default_profile", "seeds", "defaults", "feedback", *_SECTIONS}
+
+
+def nearest(name: str, known: Iterable[str]) -> str:
+    """`; did you mean "x"?` where a known name is near, else nothing."""
+    near = difflib.get_close_matches(name, sorted(known), n=1)
+    return f'; did you mean "{near[0]}"?' if near else ""
+
+
+def refuse_unknown(table: Mapping[str, Any], known: Iterable[str], where: str) -> None:
+    """Raise `UserError` for the first key of `table` that is not known, with the nearest one that is."""
+    names = sorted(known)
+    for key in table:
+        if key not in names:
+            raise UserError(f'{where}: unknown key "{key}"{nearest(key, names)}', f"known keys: {', '.join(names)}")
+
+
+def read_toml(path: Path) -> dict[str, Any]:
+    """The file's content.
+
+    Raises:
+        UserError: it cannot be read, or is not TOML; the message names file, line and column.
+    """
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8"))
+    except tomllib.TOMLDecodeError as error:
+        raise UserError(f"{path}: not valid TOML: {error}") from None
+    except UnicodeDecodeError as error:
+        raise UserError(f"{path}: not UTF-8 text: {error.reason} at byte {error.start}") from None
+    except RecursionError:
+        raise UserError(f"{path}: nested too deeply") from None
+    except OSError as error:
+        raise UserError(f"cannot read {path}: {error.strerror}") from None
+
+
+def load(path: Path) -> Manifest:
+    """Read and check one manifest.
+
+    Raises:
+        UserError: unreadable file, unknown key, wrong type, empty list; the message names file and key.
+    """
+    if not _EXPERIMENT_NAME.fullmatch(path.stem):
+        raise UserError(f"{path}: an experiment's name is made of letters, digits, - and _", "rename the file")
+    return parse(read_toml(path), path)
+
+
+def parse(table: Mapping[str, Any], path: Path) -> Manifest:
+    """The manifest that `table`, read from `path`, describes. Raises `UserError` as `load` does."""
+    refuse_unknown(table, _KEYS, str(path))
+    fields = {_SECTIONS.get(key, key): value for key, value in table.items()}
+    grid = table.get("grid")
+    if grid is None:
+        raise UserError(f"{path}: there is no [grid]", "add [grid] with tasks = [...] and methods = [...]")
+    fields["grids"] = grid if isinstance(grid, list) else [grid]
+    for number, entry in enumerate(fields["grids"], start=1):
+        _check_grid(entry, f"{path} [[grid]] {number}" if isinstance(grid, list) else f"{path} [grid]")
+    if isinstance(fields.get("methods"), dict):
+        fields["methods"] = {name: _split_method(entry) for name, entry in fields["methods"].items()}
+    try:
+        return Manifest(name=path.stem, path=path, **fields)
+    except ValidationError as error:
+        raise UserError(_explain(error, path)) from None
+
+
+def _check_grid(grid: Any, where: str) -> None:
+    if not isinstance(grid, dict):
+        raise UserError(f"{where}: expected a table with tasks and methods, got {grid!r}")
+    refuse_unknown(grid, Grid.model_fields, where)
+    for key, model in (("include", Include), ("exclude", Rows)):
+        rows = grid.get(key, [])
+        if isinstance(rows, list):
+            for row in rows:
+                if isinstance(row, dict):
+                    refuse_unknown(row, model.model_fields, f"{where} {key}")
+                    if not row:
+                        raise UserError(f"{where} {key}: an empty entry matches every row; name a task or a method")
+
+
+def _split_method(entry: Any) -> Any:
+    """`learner` and `prior` say what the method is; everything else in its section is settings."""
+    if not isinstance(entry, dict):
+        return entry
+    named = {key: entry[key] for key in ("learner", "prior") if key in entry}
+    return named | {"settings": {key: value for key, value in entry.items() if key not in named}}
+
+
+_SPELLED = {field: key for key, field in _SECTIONS.items()}
+
+
+def _explain(error: ValidationError, path: Path) -> str:
+    """What pydantic found, in one line per mistake: file, key, what is wrong, what was given."""
+    lines = []
+    for found in error.errors(include_url=False)[:5]:
+        top, *rest = (str(part) for part in found["loc"])
+        key = ".".join([_SPELLED.get(top, top), *(p for p in rest if p not in ("settings", "int", "tuple[int, ...]"))])
+        if found["type"] == "missing":
+            lines.append(f"{path}: {key} is missing")
+        elif found["type"] == "too_short":
+            lines.append(f"{path}: {key} is empty; name at least one")
+        else:
+            lines.append(f"{path}: {key}: {found['msg'].removeprefix('Value error, ')}; got {found['input']!r}")
+    return "\n".join(dict.fromkeys(lines))
+
+
+def find(name: str, folder: Path) -> Path:
+    """The file of the experiment `name` in `folder`, or `name` itself where it is the path of a .toml file.
+
+    Raises:
+        UserError: there is none; the message suggests the nearest, or says where manifests are looked for.
+    """
+    if name.endswith(".toml"):
+        if not Path(name).is_file():
+            raise UserError(f"there is no file {name}")
+        return Path(name)
+    names = {path.stem: path for path in available(folder)}
+    if name not in names:
+        raise UserError(f'no experiment "{name}" in {folder}{nearest(name, names)}', f"known: {', '.join(names)}")
+    return names[name]
+
+
+def available(folder: Path) -> list[Path]:
+    """The manifests of a folder, by name.
+
+    Raises:
+        UserError: the folder is missing or holds none.
+    """
+    hint = "run from a clone of the project, or name the folder with --experiments DIR or RRMCTL_EXPERIMENTS"
+    if not folder.is_dir():
+        raise UserError(f"there is no folder {folder}", hint)
+    paths = sorted(folder.glob("*.toml"))
+    if not paths:
+        raise UserError(f"{folder} holds no manifest (*.toml)", hint)
+    return paths

@@ -1,0 +1,102 @@
+"""The names of methods: oracle, LEARNER, sac-PRIOR, rrm-PRIOR, rrm-LEARNER-PRIOR, and a manifest's own."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from rrm.priors import PRIORS
+from rrm.registry import is_file_reference
+from rrm.rewards import LEARNERS
+from rrm.training.config import KNOWN_REWARDS
+from rrmctl.errors import UserError
+from rrmctl.manifest import MethodTable, Settings, nearest
+from rrmctl.profiles import Kind
+
+#: The learner that a residual method's name leaves out.
+BASE_LEARNER = "pebble"
+
+
+@dataclass(frozen=True)
+class Method:
+    """How a method's reward comes about, and what else it sets."""
+
+    name: str
+    learner: str
+    prior: str | None
+    settings: Settings = field(default_factory=dict)
+
+    @property
+    def kind(self) -> Kind:
+        """Known reward, learned from nothing, or learned on a prior."""
+        if self.learner in KNOWN_REWARDS:
+            return "known"
+        return "baseline" if self.prior is None else "residual"
+
+
+def grammar() -> dict[str, tuple[str, str | None]]:
+    """Every name that means a method without a definition: name -> (learner, prior)."""
+    names: dict[str, tuple[str, str | None]] = {"oracle": ("true", None)}
+    names |= {learner: (learner, None) for learner in LEARNERS}
+    names |= {f"sac-{prior}": ("prior", prior) for prior in PRIORS}
+    names |= {f"rrm-{learner}-{prior}": (learner, prior) for learner in LEARNERS for prior in PRIORS}
+    names |= {f"rrm-{prior}": (BASE_LEARNER, prior) for prior in PRIORS}
+    return names
+
+
+def method(name: str, own: Mapping[str, MethodTable], folder: Path, where: str) -> Method:
+    """The method of this name: the manifest's own if it defines one, else by the grammar.
+
+    Args:
+        own: the manifest's [method.NAME] sections.
+        folder: the manifest's; files of users' code are named from there.
+        where: the manifest, for messages.
+
+    Raises:
+        UserError: unknown method, learner or prior (with the nearest known), or a file that is not there.
+    """
+    section = f"{where} [method.{name}]"
+    table = own.get(name, MethodTable())
+    names = grammar()
+    if table.learner is None and table.prior is None:
+        if name not in names:
+            raise UserError(
+                f'{where}: unknown method "{name}"{nearest(name, {*names, *own})}',
+                f"known: {', '.join(sorted(names))}; or define it in [method.{name}] with learner and prior",
+            )
+        learner, prior = names[name]
+        return Method(name, learner, prior, table.settings)
+    learner = _named(table.learner or BASE_LEARNER, "learner", (*LEARNERS, *KNOWN_REWARDS), folder, section)
+    prior = _named(table.prior, "prior", PRIORS, folder, section) if table.prior is not None else None
+    if learner == "prior" and prior is None:
+        raise UserError(f'{section}: the learner "prior" trains on a prior alone; name it with prior = "..."')
+    if learner == "true" and prior is not None:
+        raise UserError(f'{section}: the learner "true" is the true reward and takes no prior')
+    return Method(name, learner, prior, table.settings)
+
+
+def residual(prior: str, folder: Path) -> Method:
+    """The residual method on one prior, as `--prior` adds it; a file's is called rrm-STEM.
+
+    Raises:
+        UserError: unknown prior, or no such file.
+    """
+    name = Path(prior.rpartition(":")[0]).stem if is_file_reference(prior) else prior
+    return Method(f"rrm-{name}", BASE_LEARNER, _named(prior, "prior", PRIORS, folder, "--prior"))
+
+
+def _named(name: str, what: str, known: Mapping[str, str] | tuple[str, ...], folder: Path, where: str) -> str:
+    """A name of ours as it is; a user's file with its whole path, so that it is found from any folder."""
+    if is_file_reference(name):
+        location, _, attribute = name.rpartition(":")
+        path = (folder / location).resolve()
+        if not path.is_file():
+            raise UserError(f"{where}: {what} {name!r}: there is no file {path}")
+        return f"{path}:{attribute}"
+    if name not in known:
+        raise UserError(
+            f'{where}: unknown {what} "{name}"{nearest(name, known)}',
+            f"known: {', '.join(sorted(known))}, or path/to/file.py:name",
+        )
+    return name

@@ -1,0 +1,250 @@
+"""From a manifest to jobs: grid x seeds at one profile, each job with its whole configuration. Nothing is run here."""
+
+from __future__ import annotations
+
+import hashlib
+import itertools
+import json
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from rrm.errors import RrmError
+from rrm.training.config import RunConfig
+from rrmctl.cells import Row, check_names, check_sections, configure, feedback_label
+from rrmctl.errors import UserError
+from rrmctl.manifest import Grid, Include, Manifest, Rows, nearest
+from rrmctl.methods import Method, method, residual
+from rrmctl.profiles import Layer
+from rrmctl.profiles import profile as find_profile
+from rrmctl.settings import check_assignments, parse_assignments
+
+_MOST_SEEDS = 10_000
+_LARGEST_SEED = 2**32 - 1
+
+_AXES = {"tasks": "task", "methods": "method", "teachers": "teacher", "feedback": "feedback"}
+
+
+@dataclass(frozen=True)
+class Job:
+    """One run and the names under which this experiment reports it."""
+
+    id: str  #: the run's identity
+    config: RunConfig
+    task: str
+    method: str
+    teacher: str  #: "-" where nothing is asked
+    feedback: str  #: "50@5000/5000": queries of a session, steps between sessions, queries in all; "-" where none
+    seed: int
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What one `run` command asks for. Jobs of equal configuration are one job."""
+
+    experiment: str
+    profile: str
+    overrides: dict[str, Any]  #: of `--set`, by dotted name
+    variant: str  #: stands for profile and overrides; results of two variants are never put together
+    jobs: tuple[Job, ...]  #: seed by seed, so that every method has its first curve early
+    manifest: Manifest
+
+
+def make_plan(
+    manifest: Manifest,
+    *,
+    profile: str | None = None,
+    seeds: str | int | Sequence[int] | None = None,
+    tasks: Sequence[str] | None = None,
+    methods: Sequence[str] | None = None,
+    overrides: Mapping[str, Any] | Iterable[str] = (),
+    priors: Sequence[str] = (),
+) -> Plan:
+    """The jobs of an experiment.
+
+    Args:
+        manifest: the experiment.
+        profile: its scale; None is the manifest's own default.
+        seeds: "10", "0,3,7", a number or a list; None is the manifest's.
+        tasks, methods: only these, of those the manifest has.
+        overrides: settings by dotted name, or `key=value` texts as typed after `--set`.
+        priors: residual methods on these priors beside the manifest's methods: names, or `file.py:function` as seen from
+            the folder the command runs in.
+
+    Raises:
+        UserError: an unknown name or key, a wrong type, or settings that cannot be run together.
+    """
+    scale = find_profile(profile or manifest.default_profile).name
+    settings = check_assignments(overrides) if isinstance(overrides, Mapping) else parse_assignments(overrides)
+    numbers = parse_seeds(manifest.seeds, f"{manifest.path}: seeds") if seeds is None else parse_seeds(seeds, "--seeds")
+    rows = list(dict.fromkeys(row for grid in _grids(manifest) for row in grid))
+    known = {row.method: method(row.method, manifest.methods, manifest.path.parent, str(manifest.path)) for row in rows}
+    _check(manifest, rows)
+    rows = _only(rows, "task", tasks, manifest)
+    added = _added(priors, known)
+    beside = [replace(row, method=name) for row in rows for name in added]
+    rows = list(dict.fromkeys([*_only(rows, "method", methods, manifest), *beside]))
+    cells = [_cell(manifest, row, (known | added)[row.method], scale, settings) for row in rows]
+    _refuse_ambiguous(cells, manifest)
+    jobs: dict[str, Job] = {}
+    for seed, cell in itertools.product(numbers, cells):
+        job = _seeded(cell, seed)
+        jobs.setdefault(job.id, job)
+    return Plan(manifest.name, scale, settings, variant(scale, settings), tuple(jobs.values()), manifest)
+
+
+def parse_seeds(given: str | int | Sequence[int], where: str) -> list[int]:
+    """Seeds out of "10" (0 to 9), "0,3,7", "4," (seed 4 alone), a number, or a list.
+
+    Raises:
+        UserError: none, a duplicate, negative, too many, or not numbers.
+    """
+    hint = "10 means seeds 0 to 9; 0,3,7 means these three; 4, means seed 4 alone"
+    if isinstance(given, str):
+        parts = [part.strip() for part in given.split(",")]
+        if parts[-1] == "" and len(parts) > 1:
+            parts.pop()
+        if not all(part.isascii() and part.removeprefix("-").isdigit() and len(part) < 20 for part in parts):
+            raise UserError(f'{where} "{given}": expected a number of seeds or a list of them', hint)
+        given = [int(part) for part in parts] if "," in given else int(parts[0])
+    if isinstance(given, int):
+        if not 1 <= given <= _MOST_SEEDS:
+            raise UserError(f"{where}: {given} seeds; any number from 1 to {_MOST_SEEDS} can be run", hint)
+        return list(range(given))
+    if not given:
+        raise UserError(f"{where}: the list of seeds is empty", hint)
+    if len(given) > _MOST_SEEDS:
+        raise UserError(f"{where}: {len(given)} seeds; at most {_MOST_SEEDS} can be run", hint)
+    wrong = [seed for seed in given if not 0 <= seed <= _LARGEST_SEED]
+    if wrong:
+        raise UserError(f"{where}: seed {wrong[0]}; seeds lie between 0 and {_LARGEST_SEED}", hint)
+    if len(set(given)) < len(given):
+        raise UserError(f"{where}: seed {max(given, key=given.count)} is given twice", hint)
+    return list(given)
+
+
+def variant(profile: str, overrides: Mapping[str, Any]) -> str:
+    """The profile's name, with a digest of the overrides where there are any."""
+    if not overrides:
+        return profile
+    text = json.dumps(overrides, sort_keys=True, allow_nan=False)
+    return f"{profile}-{hashlib.sha256(text.encode()).hexdigest()[:8]}"
+
+
+def _grids(manifest: Manifest) -> Iterator[list[Row]]:
+    for number, grid in enumerate(manifest.grids, start=1):
+        where = f"{manifest.path} [grid]" if len(manifest.grids) == 1 else f"{manifest.path} [[grid]] {number}"
+        rows = _crossed(grid, where)
+        for excluded in grid.exclude:
+            left = [row for row in rows if not _agrees(row, excluded)]
+            if len(left) == len(rows):
+                raise UserError(f"{where} exclude {_named(excluded)}: no row of the grid is like that")
+            rows = left
+        if not rows:
+            raise UserError(f"{where}: exclude leaves no row")
+        yield [*rows, *(_included(row, entry, where) for entry in grid.include for row in rows)]
+
+
+def _crossed(grid: Grid, where: str) -> list[Row]:
+    """Every combination of the axes; those of a `zip` advance together."""
+    paired = {axis for group in grid.zip for axis in group}
+    groups = [*grid.zip, *((axis,) for axis in _AXES if axis not in paired)]
+    steps = []
+    for group in sorted(groups, key=lambda group: min(list(_AXES).index(axis) for axis in group)):
+        values = [getattr(grid, axis) for axis in group]
+        if len({len(v) for v in values}) > 1:
+            lengths = ", ".join(f"{len(v)} {axis}" for axis, v in zip(group, values, strict=True))
+            raise UserError(f"{where} zip: paired axes must be equally long; there are {lengths}")
+        steps.append([dict(zip((_AXES[axis] for axis in group), pair, strict=True)) for pair in zip(*values, strict=True)])
+    layer, own = Layer(f"{where} set", grid.set), Layer(f"{where} include", {})
+    merged = ({k: v for part in parts for k, v in part.items()} for parts in itertools.product(*steps))
+    return [Row(**names, grid=layer, own=own) for names in merged]
+
+
+def _named(rows: Rows) -> dict[str, str]:
+    return {axis: name for axis in _AXES.values() if (name := getattr(rows, axis)) is not None}
+
+
+def _agrees(row: Row, rows: Rows) -> bool:
+    return all(getattr(row, axis) == name for axis, name in _named(rows).items())
+
+
+def _included(row: Row, entry: Include, where: str) -> Row:
+    return replace(row, **_named(entry), own=Layer(f"{where} include {_named(entry)} set", entry.set))
+
+
+def _check(manifest: Manifest, rows: list[Row]) -> None:
+    """Refuse unknown names, and sections for names that the grid does not have."""
+    for row in rows:
+        check_names(manifest, row)
+    sections = (manifest.tasks, manifest.methods, manifest.teachers, manifest.feedback)
+    for axis, section in zip(_AXES.values(), sections, strict=True):
+        used = {getattr(row, axis) for row in rows}
+        for name in section:
+            if name not in used:
+                raise UserError(
+                    f"{manifest.path} [{axis}.{name}]: the grid has no {axis} of this name{nearest(name, used)}",
+                    f"the grid has: {', '.join(sorted(used))}",
+                )
+    check_sections(manifest)
+
+
+def _only(rows: list[Row], axis: str, wanted: Sequence[str] | None, manifest: Manifest) -> list[Row]:
+    """The rows of the wanted names; None wants all."""
+    if wanted is None:
+        return rows
+    there = {getattr(row, axis) for row in rows}
+    if not wanted:
+        raise UserError(f"--{axis}s names nothing", f"{manifest.name} has: {', '.join(sorted(there))}")
+    for name in wanted:
+        if name not in there:
+            raise UserError(
+                f'--{axis}s: {manifest.name} has no {axis} "{name}"{nearest(name, there)}', f"it has: {', '.join(sorted(there))}"
+            )
+    return [row for row in rows if getattr(row, axis) in wanted]
+
+
+def _added(priors: Sequence[str], known: Mapping[str, Method]) -> dict[str, Method]:
+    """The methods of `--prior`; a name that already means another method is refused."""
+    added: dict[str, Method] = {}
+    for prior in priors:
+        new = residual(prior, Path.cwd())
+        before = added.get(new.name, known.get(new.name))
+        if before is not None and before.prior != new.prior:
+            raise UserError(
+                f"--prior {prior}: {new.name} already stands for the prior {before.prior}",
+                "rename the file: a method is named after it",
+            )
+        added[new.name] = before or new
+    return added
+
+
+def _cell(manifest: Manifest, row: Row, method: Method, scale: str, settings: dict[str, Any]) -> Job:
+    """The row as a job of seed 0, its files read and digested once for all seeds."""
+    try:
+        config = configure(manifest, row, method, scale, settings).canonical()
+    except RrmError as error:
+        raise UserError(f"{manifest.path}: {row.task}, {row.method}: {error}") from None
+    asked = config.feedback is not None
+    return Job(
+        id="", config=config, task=row.task, method=row.method, teacher=row.teacher if asked else "-",
+        feedback=feedback_label(manifest, row, config), seed=0,
+    )  # fmt: skip
+
+
+def _seeded(cell: Job, seed: int) -> Job:
+    config = cell.config.model_copy(update={"seed": seed})
+    return replace(cell, id=config.identity, config=config, seed=seed)
+
+
+def _refuse_ambiguous(cells: Iterable[Job], manifest: Manifest) -> None:
+    """Two different configurations under one name could not be told apart in any report."""
+    seen: dict[tuple[str, ...], RunConfig] = {}
+    for cell in cells:
+        names = (cell.task, cell.method, cell.teacher, cell.feedback)
+        if seen.setdefault(names, cell.config) != cell.config:
+            raise UserError(
+                f"{manifest.path}: two different runs are both called {' / '.join(names)}",
+                "give one of them a method name of its own: [method.NAME] with learner and prior",
+            )

@@ -1,0 +1,194 @@
+"""Layers of settings become one checked `RunConfig`, and every mistake is traced to the layer it came from."""
+
+from __future__ import annotations
+
+import json
+import tomllib
+import types
+from collections.abc import Iterable, Iterator, Mapping
+from functools import cache
+from typing import Annotated, Any, Union, get_args, get_origin
+
+from pydantic import BaseModel, TypeAdapter, ValidationError
+from pydantic.fields import FieldInfo
+
+from rrm.errors import RrmError
+from rrm.training.config import RunConfig
+from rrmctl.errors import UserError
+from rrmctl.manifest import Settings, nearest
+from rrmctl.profiles import Layer
+
+#: Settings that say how long, how often and how much: the ones a profile shrinks in a manifest's numbers.
+AMOUNTS = (
+    "steps",
+    "feedback.every", "feedback.batch", "feedback.budget", "feedback.segment",
+    "exploration.seed_steps", "exploration.unsupervised_steps",
+    "evaluation.every",
+)  # fmt: skip
+
+#: Larger integers do not survive JSON and parquet.
+_LARGEST = 2**53
+
+#: Settings that something else decides, and what does.
+_DECIDED = {
+    "task": "the grid's tasks or --tasks",
+    "seed": "the manifest's seeds or --seeds",
+    "profile": "--profile",
+    "reward.learner": "the method ([method.NAME] learner = ...)",
+    "reward.prior": "the method ([method.NAME] prior = ...) or --prior",
+    "reward.learner_digest": "planning, from the file's content",
+    "reward.prior_digest": "planning, from the file's content",
+}
+
+
+def known_settings() -> list[str]:
+    """Dotted names of everything a layer may set."""
+    return [name for name in _fields() if name not in _DECIDED]
+
+
+@cache
+def _fields() -> dict[str, TypeAdapter[Any]]:
+    """A checker for every leaf of `RunConfig`, by dotted name."""
+    return dict(_leaves(RunConfig, ""))
+
+
+def _leaves(model: type[BaseModel], prefix: str) -> Iterator[tuple[str, TypeAdapter[Any]]]:
+    for name, field in model.model_fields.items():
+        inner = _section(field)
+        if inner is not None:
+            yield from _leaves(inner, f"{prefix}{name}.")
+        else:
+            yield f"{prefix}{name}", TypeAdapter(Annotated[field.annotation, field])
+
+
+def _section(field: FieldInfo) -> type[BaseModel] | None:
+    """The model of a nested section, `Section` or `Section | None`; None for a leaf."""
+    kinds = get_args(field.annotation) if get_origin(field.annotation) in (Union, types.UnionType) else [field.annotation]
+    return next((kind for kind in kinds if isinstance(kind, type) and issubclass(kind, BaseModel)), None)
+
+
+def flatten(layer: Layer) -> dict[str, Any]:
+    """The layer's settings by dotted name, each checked for name and type.
+
+    Raises:
+        UserError: unknown key, wrong type, or a setting that is decided elsewhere; the message names layer and key.
+    """
+    return {key: _checked(key, value, layer.where) for key, value in _walk(layer.settings, "", layer.where)}
+
+
+def _walk(tree: Any, prefix: str, where: str) -> Iterator[tuple[str, Any]]:
+    sections = {name.rpartition(".")[0] for name in _fields()}
+    if not isinstance(tree, dict):
+        raise UserError(f"{where}: {prefix.rstrip('.') or 'the section'} must be a table, got {tree!r}")
+    for key, value in tree.items():
+        name = f"{prefix}{key}"
+        if name in sections:
+            yield from _walk(value, f"{name}.", where)
+        elif name in _fields():
+            yield name, value
+        else:
+            raise UserError(f'{where}: unknown key "{name}"{suggestion(name)}', "keys are those of RunConfig, e.g. agent.batch")
+
+
+def suggestion(name: str) -> str:
+    """The nearest known setting: by its whole dotted name, or by its last part alone."""
+    last = name.rpartition(".")[2]
+    same = [known for known in known_settings() if known.rpartition(".")[2] == last]
+    return f'; did you mean "{same[0]}"?' if same else nearest(name, known_settings())
+
+
+def _checked(name: str, value: Any, where: str) -> Any:
+    if name in _DECIDED:
+        raise UserError(f"{where}: {name} cannot be set here; it follows from {_DECIDED[name]}")
+    if isinstance(value, int) and abs(value) > _LARGEST:
+        raise UserError(f"{where}: {name} = {value} is too large")
+    adapter = _fields()[name]
+    try:
+        checked = adapter.validate_python(value, strict=True)
+    except ValidationError as error:
+        if isinstance(value, float) and value.is_integer():  # 1e5 is how people write 100000
+            return _checked(name, int(value), where)
+        found = error.errors(include_url=False)[0]
+        raise UserError(f"{where}: {name} = {value!r}: {found['msg']}") from None
+    try:
+        json.dumps(checked, allow_nan=False)
+    except (TypeError, ValueError):
+        raise UserError(f"{where}: {name} = {value!r}: only text, finite numbers, lists and tables") from None
+    return checked
+
+
+def resolve(flat: Iterable[tuple[str, Mapping[str, Any]]], cell: str, **decided: Any) -> RunConfig:
+    """One configuration out of checked layers, later ones winning.
+
+    Args:
+        flat: (where, settings by dotted name) of each layer, widest first.
+        cell: what is being configured, for messages: file, task and method.
+        decided: settings by dotted name (dots as in `flat`) that no layer may change.
+
+    Raises:
+        UserError: the settings do not go together (a segment longer than an episode, feedback after the end); the
+            message names the layer that the offending setting came from.
+    """
+    values: dict[str, Any] = {}
+    origin: dict[str, str] = {}
+    for where, settings in flat:
+        values |= settings
+        origin |= dict.fromkeys(settings, where)
+    if "steps" not in values:
+        raise UserError(f"{cell}: no profile says how many steps this task takes", "set steps in the manifest's [defaults]")
+    try:
+        return RunConfig.model_validate(nested(values | decided))
+    except ValidationError as error:
+        found = error.errors(include_url=False)[0]
+        reason = found.get("ctx", {}).get("error")
+        message = str(reason) if isinstance(reason, RrmError) else f"{'.'.join(map(str, found['loc']))}: {found['msg']}"
+    key = message.partition(":")[0]
+    source = f"{key} = {values[key]!r} is set in {origin[key]}" if key in origin else None
+    raise UserError(f"{cell}: {message}", source)
+
+
+def nested(flat: Mapping[str, Any]) -> Settings:
+    """`{"agent.batch": 1}` becomes `{"agent": {"batch": 1}}`."""
+    tree: Settings = {}
+    for name, value in flat.items():
+        *rooms, leaf = name.split(".")
+        at = tree
+        for room in rooms:
+            at = at.setdefault(room, {})
+        at[leaf] = value
+    return tree
+
+
+def parse_assignments(assignments: Iterable[str]) -> dict[str, Any]:
+    """`--set` arguments, `key=value` with a TOML value, by dotted name; a bare word is text.
+
+    Raises:
+        UserError: not an assignment, an unknown key, a wrong type.
+    """
+    settings: dict[str, Any] = {}
+    for text in assignments:
+        key, equals, value = text.partition("=")
+        if not equals or not key.strip():
+            raise UserError(f"--set {text}: expected KEY=VALUE, e.g. --set agent.batch=256")
+        settings[key.strip()] = _value(value.strip(), f"--set {text}")
+    return check_assignments(settings)
+
+
+def check_assignments(settings: Mapping[str, Any]) -> dict[str, Any]:
+    """Overrides by dotted name, each checked. Raises `UserError` as `parse_assignments` does."""
+    for name in settings:
+        if name not in _fields():
+            raise UserError(f'--set {name}: unknown setting "{name}"{suggestion(name)}', "rrmctl plan --help shows examples")
+    return {name: _checked(name, value, "--set") for name, value in settings.items()}
+
+
+def _value(text: str, where: str) -> Any:
+    try:
+        table = tomllib.loads(f"value = {text}")
+    except (tomllib.TOMLDecodeError, RecursionError):
+        table = {}
+    if table.keys() == {"value"}:
+        return table["value"]
+    if text.replace("-", "").replace("_", "").isalnum():
+        return text
+    raise UserError(f"{where}: not a TOML value", 'numbers, true, false, "text", [1, 2]')
