@@ -81,6 +81,7 @@ class ReferenceSac:
 
     @staticmethod
     def step(optimiser: torch.optim.Optimizer, loss: Tensor) -> None:
-        optimiser.zero_grad()
-        loss.backward()
+        params = optimiser.param_groups[0]["params"]
+        for param, grad in zip(params, torch.autograd.grad(loss, params), strict=True):
+            param.grad = grad
         optimiser.step()
