@@ -65,7 +65,7 @@ def _dmc(name: str, obs_dim: int, act_dim: int, upright: int) -> Task:
 
 
 _TOY_CAR = Task(
-    name="toy-car", suite="toy", score="success", horizon=100, obs_dim=16, act_dim=2,
+    name="toy-car", suite="toy", score="success", horizon=100, obs_dim=15, act_dim=2,
     entry_point="rrm.envs.toy_car:ToyCarEnv",
     # The car is what moves and what is to be moved: "hand" and "object" are its position.
     features={"hand": slice(0, 2), "object": slice(0, 2), "goal": slice(2, 4), "clearance": slice(4, 5)},

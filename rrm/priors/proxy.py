@@ -31,7 +31,7 @@ def needs(*alternatives: tuple[str, ...]) -> Callable[[Prior], Prior]:
 
 @needs(("hand", "object", "goal"), ("upright",))
 def proxy(step: PriorStep) -> float:
-    """The paper's main prior: -|object - goal| - |hand - object|; (z - 1) / 2 where the task reveals how upright it is."""
+    """The main prior: -|object - goal| - |hand - object|, or (z - 1) / 2 where the task reveals the uprightness z."""
     if step.reveals("upright"):
         return (step.upright - 1) / 2
     return o2g(step) + h2o(step)
