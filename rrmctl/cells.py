@@ -1,25 +1,26 @@
 """One row of a grid becomes the configuration of its runs: layers of settings, scaled to the profile.
 
 Settings, widest first: the library's defaults, the profile (by suite, task and kind of method), then the manifest's
-[defaults], the grid's `set`, [task.NAME], [feedback.NAME], the teacher, [method.NAME], an include's `set`, [profile.NAME],
-and `--set` last.
+[defaults], the grid's `set`, [task.NAME], [feedback.NAME], the teacher, [method.NAME], an include's `set`,
+[profile.NAME], and `--set` last.
 
-A manifest's amounts (steps, feedback, seed steps ...) are written at the paper's scale. In another profile they shrink as
-that profile's own number for the task does: `every = 20_000` on a task whose paper schedule is 5000 means four times
-whatever the profile asks. [profile.NAME] and `--set` are taken as they stand.
+A manifest's amounts (steps, feedback, seed steps ...) are written at the paper's scale. In another profile they shrink
+as that profile's own number for the task does: `every = 20_000` on a task whose paper schedule is 5000 means four
+times whatever the profile asks. [profile.NAME] and `--set` are taken as they stand.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
 from functools import cache
 from typing import Any
 
+from rrm.config import EvaluationConfig, ExplorationConfig, FeedbackConfig
 from rrm.envs.tasks import TASKS
 from rrm.teachers import TEACHERS
-from rrm.training.config import EvaluationConfig, ExplorationConfig, FeedbackConfig, RunConfig
+from rrm.training.config import RunConfig
 from rrmctl.errors import UserError
+from rrmctl.grid import Row
 from rrmctl.manifest import DEFAULT_FEEDBACK, Manifest, nearest
 from rrmctl.methods import Method
 from rrmctl.profiles import PAPER, Kind, Layer, profile
@@ -29,18 +30,6 @@ Flat = dict[str, Any]
 
 #: What a label of feedback spells out; a schedule that sets anything else is named in it.
 _SPELLED = {"batch", "every", "budget"}
-
-
-@dataclass(frozen=True)
-class Row:
-    """One row of the grid, before seeds."""
-
-    task: str
-    method: str
-    teacher: str
-    feedback: str
-    grid: Layer  #: the `set` of its grid
-    own: Layer  #: the `set` of its include
 
 
 def check_names(manifest: Manifest, row: Row) -> None:
@@ -144,7 +133,11 @@ def _ratios(scale: str, task: str, kind: Kind) -> dict[str, tuple[int, int]]:
 
 def _amounts(scale: str, task: str, kind: Kind) -> dict[str, int]:
     values: Flat = {"steps": 1}  # a task of which no profile knows the length is not scaled
-    for room, model in (("feedback", FeedbackConfig()), ("exploration", ExplorationConfig()), ("evaluation", EvaluationConfig())):
+    for room, model in (
+        ("feedback", FeedbackConfig()),
+        ("exploration", ExplorationConfig()),
+        ("evaluation", EvaluationConfig()),
+    ):
         values |= {f"{room}.{name}": value for name, value in model.model_dump().items()}
     for _, settings in _profile_settings(scale, task, kind):
         values |= settings

@@ -1,12 +1,12 @@
 """What a plan will cost, in core-hours: from runs of the same kind where the store has some, else from a model.
 
-Measured: `steps / (steps per second)`, the rate being the median over the stored runs of the same task, method and variant.
+Measured: `steps / (steps per second)`, the median rate of the stored runs of the same task, method and variant.
 
-Modelled, for P weights of a network, B transitions in a batch and G floating-point operations per second of this core in
-matrix products (`measure_gemm`):
+Modelled, for P weights of a network, B transitions in a batch and G floating-point operations per second of this core
+in matrix products (`measure_gemm`):
 
     update     0.5 ms + 1.2 * 2 B (4 P_actor + 12 P_critic) / G      forward and backward, twin critics and their target
-    entropy    2 B O S / G more per unsupervised update               distances to the S states of the buffer, O features
+    entropy    2 B O S / G more per unsupervised update               distances to the buffer's S states, O features
     step       simulator + 0.3 ms                                     acting and storing
     session    epochs * n / minibatch * (0.5 ms + 1.2 * 12 P_reward * segment * minibatch * members / G)
                + 1.2 * 2 P_reward * members * step / G                n labels so far; relabelling the buffer
@@ -128,7 +128,9 @@ def measure_gemm() -> float:
         UserError: numpy does not work here.
     """
     one = {f"{name}_NUM_THREADS": "1" for name in ("OMP", "MKL", "OPENBLAS", "VECLIB", "NUMEXPR")}
-    done = subprocess.run([sys.executable, "-c", _PROBE], env=os.environ | one, capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        [sys.executable, "-c", _PROBE], env=os.environ | one, capture_output=True, text=True, check=False
+    )
     if done.returncode != 0:
         last = (done.stderr.strip().splitlines() or ["?"])[-1]
         raise UserError(f"the speed of this machine cannot be measured: {last}", "`rrmctl doctor` says what is missing")

@@ -6,10 +6,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from rrm.config import KNOWN_REWARDS
 from rrm.priors import PRIORS
 from rrm.registry import is_file_reference
 from rrm.rewards import LEARNERS
-from rrm.training.config import KNOWN_REWARDS
 from rrmctl.errors import UserError
 from rrmctl.manifest import MethodTable, Settings, nearest
 from rrmctl.profiles import Kind

@@ -5,25 +5,23 @@ from __future__ import annotations
 import hashlib
 import itertools
 import json
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from rrm.errors import RrmError
 from rrm.training.config import RunConfig
-from rrmctl.cells import Row, check_names, check_sections, configure, feedback_label
+from rrmctl.cells import check_names, check_sections, configure, feedback_label
 from rrmctl.errors import UserError
-from rrmctl.manifest import Grid, Include, Manifest, Rows, nearest
+from rrmctl.grid import AXES, Row, rows_of
+from rrmctl.manifest import Manifest, nearest
 from rrmctl.methods import Method, method, residual
-from rrmctl.profiles import Layer
 from rrmctl.profiles import profile as find_profile
 from rrmctl.settings import check_assignments, parse_assignments
 
 _MOST_SEEDS = 10_000
 _LARGEST_SEED = 2**32 - 1
-
-_AXES = {"tasks": "task", "methods": "method", "teachers": "teacher", "feedback": "feedback"}
 
 
 @dataclass(frozen=True)
@@ -69,8 +67,8 @@ def make_plan(
         seeds: "10", "0,3,7", a number or a list; None is the manifest's.
         tasks, methods: only these, of those the manifest has.
         overrides: settings by dotted name, or `key=value` texts as typed after `--set`.
-        priors: residual methods on these priors beside the manifest's methods: names, or `file.py:function` as seen from
-            the folder the command runs in.
+        priors: residual methods on these priors beside the manifest's methods: names, or `file.py:function` as seen
+            from the folder the command runs in.
 
     Raises:
         UserError: an unknown name or key, a wrong type, or settings that cannot be run together.
@@ -78,7 +76,7 @@ def make_plan(
     scale = find_profile(profile or manifest.default_profile).name
     settings = check_assignments(overrides) if isinstance(overrides, Mapping) else parse_assignments(overrides)
     numbers = parse_seeds(manifest.seeds, f"{manifest.path}: seeds") if seeds is None else parse_seeds(seeds, "--seeds")
-    rows = list(dict.fromkeys(row for grid in _grids(manifest) for row in grid))
+    rows = rows_of(manifest)
     known = {row.method: method(row.method, manifest.methods, manifest.path.parent, str(manifest.path)) for row in rows}
     _check(manifest, rows)
     rows = _only(rows, "task", tasks, manifest)
@@ -132,54 +130,12 @@ def variant(profile: str, overrides: Mapping[str, Any]) -> str:
     return f"{profile}-{hashlib.sha256(text.encode()).hexdigest()[:8]}"
 
 
-def _grids(manifest: Manifest) -> Iterator[list[Row]]:
-    for number, grid in enumerate(manifest.grids, start=1):
-        where = f"{manifest.path} [grid]" if len(manifest.grids) == 1 else f"{manifest.path} [[grid]] {number}"
-        rows = _crossed(grid, where)
-        for excluded in grid.exclude:
-            left = [row for row in rows if not _agrees(row, excluded)]
-            if len(left) == len(rows):
-                raise UserError(f"{where} exclude {_named(excluded)}: no row of the grid is like that")
-            rows = left
-        if not rows:
-            raise UserError(f"{where}: exclude leaves no row")
-        yield [*rows, *(_included(row, entry, where) for entry in grid.include for row in rows)]
-
-
-def _crossed(grid: Grid, where: str) -> list[Row]:
-    """Every combination of the axes; those of a `zip` advance together."""
-    paired = {axis for group in grid.zip for axis in group}
-    groups = [*grid.zip, *((axis,) for axis in _AXES if axis not in paired)]
-    steps = []
-    for group in sorted(groups, key=lambda group: min(list(_AXES).index(axis) for axis in group)):
-        values = [getattr(grid, axis) for axis in group]
-        if len({len(v) for v in values}) > 1:
-            lengths = ", ".join(f"{len(v)} {axis}" for axis, v in zip(group, values, strict=True))
-            raise UserError(f"{where} zip: paired axes must be equally long; there are {lengths}")
-        steps.append([dict(zip((_AXES[axis] for axis in group), pair, strict=True)) for pair in zip(*values, strict=True)])
-    layer, own = Layer(f"{where} set", grid.set), Layer(f"{where} include", {})
-    merged = ({k: v for part in parts for k, v in part.items()} for parts in itertools.product(*steps))
-    return [Row(**names, grid=layer, own=own) for names in merged]
-
-
-def _named(rows: Rows) -> dict[str, str]:
-    return {axis: name for axis in _AXES.values() if (name := getattr(rows, axis)) is not None}
-
-
-def _agrees(row: Row, rows: Rows) -> bool:
-    return all(getattr(row, axis) == name for axis, name in _named(rows).items())
-
-
-def _included(row: Row, entry: Include, where: str) -> Row:
-    return replace(row, **_named(entry), own=Layer(f"{where} include {_named(entry)} set", entry.set))
-
-
 def _check(manifest: Manifest, rows: list[Row]) -> None:
     """Refuse unknown names, and sections for names that the grid does not have."""
     for row in rows:
         check_names(manifest, row)
-    sections = (manifest.tasks, manifest.methods, manifest.teachers, manifest.feedback)
-    for axis, section in zip(_AXES.values(), sections, strict=True):
+    sections: list[Mapping[str, Any]] = [manifest.tasks, manifest.methods, manifest.teachers, manifest.feedback]
+    for axis, section in zip(AXES.values(), sections, strict=True):
         used = {getattr(row, axis) for row in rows}
         for name in section:
             if name not in used:
@@ -200,7 +156,8 @@ def _only(rows: list[Row], axis: str, wanted: Sequence[str] | None, manifest: Ma
     for name in wanted:
         if name not in there:
             raise UserError(
-                f'--{axis}s: {manifest.name} has no {axis} "{name}"{nearest(name, there)}', f"it has: {', '.join(sorted(there))}"
+                f'--{axis}s: {manifest.name} has no {axis} "{name}"{nearest(name, there)}',
+                f"it has: {', '.join(sorted(there))}",
             )
     return [row for row in rows if getattr(row, axis) in wanted]
 

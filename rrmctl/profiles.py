@@ -19,7 +19,6 @@ PAPER = "paper"
 #: What a method does before the first update differs by kind: the reward is known, learned, or learned on a prior.
 Kind = Literal["known", "baseline", "residual"]
 
-_ROOMS = ("suite", "task")
 _KINDS = ("known", "baseline", "residual")
 
 
@@ -43,7 +42,8 @@ class Profile:
         """The settings of one cell, widest first."""
         for name, table in self.chain:
             rooms = [("all", table.get("all", {}))]
-            rooms += [(f"{room}.{key}", table.get(room, {}).get(key, {})) for room, key in zip(_ROOMS, (suite, task))]
+            rooms += [(f"suite.{suite}", table.get("suite", {}).get(suite, {}))]
+            rooms += [(f"task.{task}", table.get("task", {}).get(task, {}))]
             for room, settings in rooms:
                 yield Layer(f"{PATH.name} [{name}.{room}]", {k: v for k, v in settings.items() if k not in _KINDS})
                 yield Layer(f"{PATH.name} [{name}.{room}.{kind}]", settings.get(kind, {}))
@@ -59,7 +59,7 @@ def profiles() -> dict[str, Profile]:
     table = read_toml(PATH)
     found: dict[str, Profile] = {}
     for name, entry in table.items():
-        refuse_unknown(entry, {"about", "like", "all", *_ROOMS}, f"{PATH.name} [{name}]")
+        refuse_unknown(entry, {"about", "like", "all", "suite", "task"}, f"{PATH.name} [{name}]")
         base = entry.get("like")
         if base is not None and base not in found:
             raise UserError(f'{PATH.name} [{name}]: like = "{base}" names no profile above it{nearest(base, found)}')

@@ -58,12 +58,14 @@ def _leaves(model: type[BaseModel], prefix: str) -> Iterator[tuple[str, TypeAdap
         if inner is not None:
             yield from _leaves(inner, f"{prefix}{name}.")
         else:
-            yield f"{prefix}{name}", TypeAdapter(Annotated[field.annotation, field])
+            checked: Any = Annotated[field.annotation, field]  # the type with its bounds
+            yield f"{prefix}{name}", TypeAdapter(checked)
 
 
 def _section(field: FieldInfo) -> type[BaseModel] | None:
     """The model of a nested section, `Section` or `Section | None`; None for a leaf."""
-    kinds = get_args(field.annotation) if get_origin(field.annotation) in (Union, types.UnionType) else [field.annotation]
+    optional = get_origin(field.annotation) in (Union, types.UnionType)
+    kinds = get_args(field.annotation) if optional else (field.annotation,)
     return next((kind for kind in kinds if isinstance(kind, type) and issubclass(kind, BaseModel)), None)
 
 
@@ -87,7 +89,9 @@ def _walk(tree: Any, prefix: str, where: str) -> Iterator[tuple[str, Any]]:
         elif name in _fields():
             yield name, value
         else:
-            raise UserError(f'{where}: unknown key "{name}"{suggestion(name)}', "keys are those of RunConfig, e.g. agent.batch")
+            raise UserError(
+                f'{where}: unknown key "{name}"{suggestion(name)}', "keys are those of RunConfig, e.g. agent.batch"
+            )
 
 
 def suggestion(name: str) -> str:
@@ -135,7 +139,9 @@ def resolve(flat: Iterable[tuple[str, Mapping[str, Any]]], cell: str, **decided:
         values |= settings
         origin |= dict.fromkeys(settings, where)
     if "steps" not in values:
-        raise UserError(f"{cell}: no profile says how many steps this task takes", "set steps in the manifest's [defaults]")
+        raise UserError(
+            f"{cell}: no profile says how many steps this task takes", "set steps in the manifest's [defaults]"
+        )
     try:
         return RunConfig.model_validate(nested(values | decided))
     except ValidationError as error:
@@ -178,7 +184,9 @@ def check_assignments(settings: Mapping[str, Any]) -> dict[str, Any]:
     """Overrides by dotted name, each checked. Raises `UserError` as `parse_assignments` does."""
     for name in settings:
         if name not in _fields():
-            raise UserError(f'--set {name}: unknown setting "{name}"{suggestion(name)}', "rrmctl plan --help shows examples")
+            raise UserError(
+                f'--set {name}: unknown setting "{name}"{suggestion(name)}', "rrmctl plan --help shows examples"
+            )
     return {name: _checked(name, value, "--set") for name, value in settings.items()}
 
 

@@ -1,0 +1,93 @@
+"""Assembly of the command line: the commands, and how errors become one message and an exit code."""
+
+from __future__ import annotations
+
+import errno
+from typing import Annotated, Any
+
+import typer
+from typer.core import TyperGroup
+
+import rrm
+from rrm.errors import RrmError
+from rrmctl.cli import inspect, report, run
+from rrmctl.errors import Exit, UserError
+
+#: Conditions of the machine rather than bugs of the program.
+_MACHINE = {errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOSPC, errno.EDQUOT}
+
+
+class _Commands(TyperGroup):
+    """The group of all commands; what goes wrong for a reason the user can act on is said in one message."""
+
+    def invoke(self, ctx: Any) -> Any:  # the context is click's, or typer's copy of it, as its version has it
+        try:
+            return super().invoke(ctx)
+        except UserError as error:
+            _say(str(error), error.hint)
+        except RrmError as error:
+            _say(str(error), None)
+        except OSError as error:
+            if error.errno not in _MACHINE:
+                raise
+            _say(
+                f"{error.filename or 'the file system'}: {error.strerror}", "free space or choose another --results DIR"
+            )
+        except KeyboardInterrupt:
+            raise typer.Exit(Exit.INTERRUPTED) from None
+        raise typer.Exit(Exit.USAGE)
+
+
+def _say(message: str, hint: str | None) -> None:
+    """Print to standard error: in colour where somebody looks at a terminal that wants it, plain text elsewhere."""
+    from rich.console import Console
+    from rich.text import Text
+
+    console = Console(stderr=True, highlight=False, soft_wrap=True)
+    console.print(Text.assemble(("error: ", "bold red"), message))
+    if hint:
+        console.print(Text.assemble(("hint: ", "bold cyan"), hint))
+
+
+app = typer.Typer(
+    name="rrmctl",
+    cls=_Commands,
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    rich_markup_mode="rich",
+    context_settings={"help_option_names": ["-h", "--help"]},
+    epilog=(
+        "A first hour: [bold]rrmctl doctor[/] · [bold]rrmctl list[/] · [bold]rrmctl run quickstart[/] · "
+        "[bold]rrmctl report iqm quickstart[/]. Exit codes: 0 all done, 1 a job failed, 2 bad input, "
+        "75 stopped and resumable, 130 interrupted."
+    ),
+)
+
+
+def _version(wanted: bool) -> None:
+    if wanted:
+        typer.echo(f"rrmctl {rrm.__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def rrmctl(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version and leave.")
+    ] = False,
+) -> None:
+    """Plan, run, resume and report experiments in preference-based reinforcement learning.
+
+    An experiment is a TOML file under experiments/: tasks, methods, teachers and feedback budgets, crossed with seeds.
+    Running one again continues it: only what is missing runs.
+    """
+
+
+for _command in (inspect.list_, inspect.plan, run.run, run.status, run.resume, run.show, report.plot, inspect.doctor):
+    app.command(_command.__name__.rstrip("_"))(_command)
+app.add_typer(report.report_app, name="report")
+
+
+def main() -> None:
+    """The `rrmctl` program."""
+    app()

@@ -1,0 +1,186 @@
+"""Is this machine ready? Each check says what it found and, where something is missing, the command that mends it."""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import platform
+import shutil
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator
+from dataclasses import dataclass
+from importlib import metadata
+from pathlib import Path
+from typing import Literal
+
+from rrmctl.machine import cpu_model, usable_cores
+
+DISTRIBUTION = "rrmctl"
+
+#: Below this the final networks and checkpoints of a sweep may not fit.
+_DISK_NEEDED = 2 * 1024**3
+
+_RENDER = (
+    "import mujoco as m; k=m.MjModel.from_xml_string('<mujoco><worldbody><geom size=\"1\"/></worldbody></mujoco>');"
+    "d=m.MjData(k); r=m.Renderer(k,8,8); r.update_scene(d); r.render(); r.close()"
+)
+_SIMULATE = "import mujoco, metaworld, dm_control.suite, gymnasium, torch"
+_MESA = "apt-get install libegl1 libegl-mesa0 libgl1-mesa-dri (or libosmesa6)"
+
+
+@dataclass(frozen=True)
+class Check:
+    """One line of the report. A `note` is worth knowing and stops nothing."""
+
+    name: str
+    state: Literal["ok", "note", "missing"]
+    found: str
+    fix: str = ""
+
+
+def examine(results: Path, experiments: Path) -> Iterator[Check]:
+    """Every check in turn; the ones that start a process take a second or two each.
+
+    Args:
+        results: where runs are to be kept.
+        experiments: where manifests are.
+    """
+    yield python_version()
+    yield from packages()
+    yield simulators()
+    yield processor()
+    yield threads()
+    yield precision()
+    yield from folders(results, experiments)
+    yield rendering()
+
+
+def python_version() -> Check:
+    """The simulators have wheels for some versions only."""
+    from packaging.specifiers import SpecifierSet
+
+    wanted = metadata.metadata(DISTRIBUTION)["Requires-Python"]
+    version = platform.python_version()
+    if SpecifierSet(wanted).contains(version, prereleases=True):
+        return Check("python", "ok", f"{version} ({sys.executable})")
+    return Check("python", "missing", f"{version}, but {DISTRIBUTION} needs {wanted}", "install Python 3.11 or 3.12")
+
+
+def packages() -> Iterator[Check]:
+    """Every required package at an accepted version; those of extras as notes."""
+    from packaging.requirements import Requirement
+
+    for text in metadata.requires(DISTRIBUTION) or []:
+        wanted = Requirement(text)
+        extra = wanted.marker is not None and not wanted.marker.evaluate({"extra": ""})
+        if extra and wanted.name != "pybullet":
+            continue  # tools of developers
+        yield package(wanted.name, str(wanted.specifier), needed=not extra)
+
+
+def package(name: str, specifier: str, *, needed: bool) -> Check:
+    """A package must be installed, at a version that `specifier` accepts.
+
+    Args:
+        needed: whether anything stops without it.
+    """
+    from packaging.specifiers import SpecifierSet
+
+    state: Literal["note", "missing"] = "missing" if needed else "note"
+    fix = f"{Path(sys.executable).name} -m pip install '{name}{specifier}'"
+    try:
+        version = metadata.version(name)
+    except metadata.PackageNotFoundError:
+        return Check(name, state, "not installed" if needed else "not installed; simulated robots alone need it", fix)
+    if not SpecifierSet(specifier).contains(version, prereleases=True):
+        return Check(name, state, f"{version}, but {specifier} is needed", fix)
+    return Check(name, "ok", version)
+
+
+def simulators() -> Check:
+    """Do the simulators and torch load? Installed is not enough: their compiled parts may miss a library."""
+    problem = _try(_SIMULATE, MUJOCO_GL="disabled")
+    if problem is None:
+        return Check("simulators", "ok", "mujoco, Meta-World, DM-Control and torch load")
+    return Check("simulators", "missing", problem, "reinstall: pip install --force-reinstall the package it names")
+
+
+def processor() -> Check:
+    """What the sweeps will run on."""
+    return Check("cores", "ok", f"{usable_cores()} usable of {os.cpu_count()} ({cpu_model()}); one job keeps one busy")
+
+
+def threads() -> Check:
+    """Workers set their own limits; a limit in the environment of this shell does not matter to them."""
+    names = [name for name in ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS") if name in os.environ]
+    inherited = ", ".join(f"{name}={os.environ[name]}" for name in names) or "no limit set in this shell"
+    return Check("threads", "ok", f"one per worker; {inherited}")
+
+
+def precision(cpuinfo: Path = Path("/proc/cpuinfo")) -> Check:
+    """Float32 is what runs compute in; which faster formats this processor has is worth knowing."""
+    try:
+        text = cpuinfo.read_text(errors="replace")
+    except OSError:
+        return Check("precision", "ok", "float32; this system does not tell its vector extensions")
+    lines = (line for line in text.splitlines() if line.startswith(("flags", "Features")))
+    flags = set(next(lines, "").partition(":")[2].split())
+    there = [name for name in ("avx2", "avx512f", "avx512_bf16", "amx_bf16", "asimd", "bf16") if name in flags]
+    return Check("precision", "ok", f"float32; vector extensions: {', '.join(there) or 'none known'}")
+
+
+def folders(results: Path, experiments: Path) -> Iterator[Check]:
+    """Runs are kept in `results`; manifests are read from `experiments`."""
+    yield writable(results)
+    there = next((folder for folder in (results, *results.absolute().parents) if folder.exists()), Path("/"))
+    free = shutil.disk_usage(there).free
+    enough = free >= _DISK_NEEDED
+    yield Check(
+        "disk", "ok" if enough else "missing", f"{free / 1024**3:.1f} GB free for {results}",
+        "" if enough else "free 2 GB, or choose another disk with --results DIR",
+    )  # fmt: skip
+    count = len(list(experiments.glob("*.toml")))
+    fix = "run from a clone of the project, or --experiments DIR"
+    yield (
+        Check("experiments", "ok", f"{count} in {experiments}")
+        if count
+        else Check("experiments", "missing", f"no manifest in {experiments}", fix)
+    )
+
+
+def writable(results: Path) -> Check:
+    """Where runs are kept, files must be written and locked."""
+    there = next((folder for folder in (results, *results.absolute().parents) if folder.exists()), Path("/"))
+    try:
+        with tempfile.NamedTemporaryFile(dir=there, prefix=".rrmctl-") as file:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            os.fsync(file.fileno())
+    except OSError as error:
+        return Check("results", "missing", f"{results}: {error.strerror}", "choose a folder with --results DIR")
+    return Check("results", "ok", f"{results} {'can be written' if results.exists() else 'can be made'}")
+
+
+def rendering(backends: tuple[str, ...] = ("egl", "osmesa")) -> Check:
+    """Pixel tasks and videos need one of these backends to render off screen; nothing else does."""
+    problems = {backend: _try(_RENDER, MUJOCO_GL=backend) for backend in backends}
+    working = [backend for backend, problem in problems.items() if problem is None]
+    if working:
+        return Check("rendering", "ok", f"off screen with MUJOCO_GL={' or '.join(working)}")
+    reasons = "; ".join(f"{backend}: {problem}" for backend, problem in problems.items())
+    return Check("rendering", "note", f"none ({reasons}); state-based runs need none", _MESA)
+
+
+def _try(code: str, **environment: str) -> str | None:
+    """The last line of what a fresh Python says about `code`; None where it runs."""
+    # Importing a simulator writes PYOPENGL_PLATFORM, and a child that inherits it cannot choose another backend.
+    variables = {name: value for name, value in os.environ.items() if name != "PYOPENGL_PLATFORM"} | environment
+    command = [sys.executable, "-W", "ignore", "-c", code]
+    try:
+        done = subprocess.run(command, env=variables, capture_output=True, text=True, timeout=120, check=False)
+    except subprocess.TimeoutExpired:
+        return "gave no answer within two minutes"
+    if done.returncode == 0:
+        return None
+    return (done.stderr.strip().splitlines() or [f"ended with code {done.returncode}"])[-1]
