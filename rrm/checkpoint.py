@@ -1,0 +1,190 @@
+"""Checkpoints: a folder of states, each committed by the rename of its marker; the newest intact one is used.
+
+A state is a tree of dicts and lists with tensors, arrays and JSON values as leaves. Tensors go into a safetensors file,
+which cannot execute anything, the rest of the tree into its header. What only ever grows (the experience of a run) is
+kept by its owner in append-only logs beside the states; a state records how long each log was, and its checksum up to
+there.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import zlib
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import safetensors
+import safetensors.numpy
+import torch
+
+from rrm.errors import CheckpointError, ConfigError
+from rrm.files import sync_folder, write_atomically
+from rrm.types import State
+
+#: Of the layout written here; another version is refused with its number.
+FORMAT = 1
+KEPT = 2  #: newest checkpoints that stay
+
+
+def encode(state: State) -> bytes:
+    """The state as one safetensors file.
+
+    Raises:
+        TypeError: a leaf is neither tensor, array nor JSON value.
+    """
+    arrays: dict[str, np.ndarray[Any, Any]] = {}
+    tree = _split(state, "state", arrays)
+    return safetensors.numpy.save(arrays, {"tree": json.dumps(tree)})
+
+
+def decode(data: bytes) -> State:
+    """The state that `encode` was given, tensors on the CPU.
+
+    Raises:
+        CheckpointError: the bytes are not such a file.
+    """
+    try:
+        arrays = safetensors.numpy.load(data)
+        header = int.from_bytes(data[:8], "little")
+        tree = json.loads(json.loads(data[8 : 8 + header])["__metadata__"]["tree"])
+    except (safetensors.SafetensorError, ValueError, KeyError) as error:
+        raise CheckpointError(f"not a saved state: {error}") from error
+    joined: State = _join(tree, arrays)
+    return joined
+
+
+def _split(node: Any, path: str, arrays: dict[str, np.ndarray[Any, Any]]) -> Any:
+    if isinstance(node, dict):
+        return {str(key): _split(value, f"{path}/{key}", arrays) for key, value in node.items()}
+    if isinstance(node, list | tuple):
+        return [_split(value, f"{path}/{i}", arrays) for i, value in enumerate(node)]
+    if isinstance(node, torch.Tensor):
+        arrays[path] = np.asarray(node.detach().cpu().numpy(), order="C")
+        return {"$tensor": path}
+    if isinstance(node, np.ndarray):
+        arrays[path] = np.asarray(node, order="C")
+        return {"$array": path}
+    if isinstance(node, np.generic):
+        return node.item()
+    if node is None or isinstance(node, bool | int | float | str):
+        return node
+    raise TypeError(f"{path}: a state cannot hold a {type(node).__name__}")
+
+
+def _join(node: Any, arrays: dict[str, np.ndarray[Any, Any]]) -> Any:
+    if isinstance(node, list):
+        return [_join(value, arrays) for value in node]
+    if not isinstance(node, dict):
+        return node
+    if "$tensor" in node:
+        return torch.from_numpy(arrays[node["$tensor"]].copy())
+    if "$array" in node:
+        return arrays[node["$array"]].copy()
+    return {key: _join(value, arrays) for key, value in node.items()}
+
+
+class AppendLog:
+    """A file that only grows; a checkpoint needs no more of it than its length and checksum at the time."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self.size = 0  #: bytes that count; what lies behind them was written by a process that died
+        self.crc = 0  #: CRC-32 of those bytes
+
+    def append(self, data: bytes) -> None:
+        """Write `data` behind the bytes that count, durably."""
+        with self._path.open("r+b" if self._path.exists() else "w+b") as file:
+            file.seek(self.size)
+            file.truncate()
+            file.write(data)
+            file.flush()
+            os.fsync(file.fileno())
+        self.size += len(data)
+        self.crc = zlib.crc32(data, self.crc)
+
+    def restore(self, size: int, crc: int) -> bytes:
+        """The first `size` bytes; later appends continue there.
+
+        Raises:
+            CheckpointError: the file is missing, too short, or its checksum differs.
+        """
+        try:
+            with self._path.open("rb") as file:
+                data = file.read(size)
+        except OSError as error:
+            raise CheckpointError(f"{self._path}: {error.strerror}") from error
+        if len(data) != size or zlib.crc32(data) != crc:
+            raise CheckpointError(f"{self._path}: damaged (its first {size} bytes do not match their checksum)")
+        self.size, self.crc = size, crc
+        return data
+
+
+class Checkpoints:
+    """The checkpoints of one run, in one folder. The newest two are kept."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.skipped: list[str] = []  #: what `load` found damaged, newest first, for the log
+
+    def save(self, step: int, state: State) -> None:
+        """Write the state of `step` and commit it; older ones than the newest two go.
+
+        Raises:
+            OSError: no space or permission; the checkpoints before stay as they are.
+        """
+        data = encode(state)
+        name = f"state-{step:012d}"
+        write_atomically(self.folder / f"{name}.safetensors", data)
+        marker = {"format": FORMAT, "step": step, "size": len(data), "crc32": zlib.crc32(data)}
+        write_atomically(self.folder / f"{name}.json", json.dumps(marker).encode())
+        for old in self._markers()[KEPT:]:
+            self._remove(old)
+        sync_folder(self.folder)
+
+    def load(self, restore: Callable[[State], None]) -> int | None:
+        """Hand the newest intact state to `restore`, the next older one if that raises `CheckpointError`.
+
+        Damaged checkpoints are removed, so that they cannot stand before the good ones that follow.
+
+        Returns:
+            The step of that state; None when there is no usable checkpoint (see `skipped`).
+
+        Raises:
+            ConfigError: the checkpoint was written in another format.
+        """
+        self.skipped = []
+        for marker in self._markers():
+            try:
+                step, state = self._read(marker)
+                restore(state)
+                return step
+            except CheckpointError as error:
+                self.skipped.append(f"{marker.stem}: {error}")
+                self._remove(marker)
+        return None
+
+    def _remove(self, marker: Path) -> None:
+        marker.unlink()
+        marker.with_suffix(".safetensors").unlink(missing_ok=True)
+
+    def _markers(self) -> list[Path]:
+        return sorted(self.folder.glob("state-*.json"), reverse=True)
+
+    def _read(self, marker: Path) -> tuple[int, State]:
+        try:
+            told = json.loads(marker.read_bytes())
+            version, step, size, crc = (int(told[key]) for key in ("format", "step", "size", "crc32"))
+            data = marker.with_suffix(".safetensors").read_bytes()
+        except (OSError, ValueError, KeyError, TypeError) as error:
+            raise CheckpointError(f"unreadable ({error})") from error
+        if version != FORMAT:
+            raise ConfigError(
+                f"{marker} was written in checkpoint format {version}, this version reads {FORMAT}: "
+                "finish the run with the version that began it, or start it again with --force"
+            )
+        if len(data) != size or zlib.crc32(data) != crc:
+            raise CheckpointError("damaged (does not match its checksum)")
+        return step, decode(data)

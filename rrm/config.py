@@ -1,0 +1,110 @@
+"""The sections of a run's configuration: frozen, complete, unknown keys refused.
+
+Defaults are the paper's (appendix tables); where it is silent the field says whose they are. Nothing here imports
+torch or a simulator. `rrm.training.config` puts the sections together.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+Count = Annotated[int, Field(ge=1)]
+NonNegative = Annotated[int, Field(ge=0)]
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+Fraction = Annotated[float, Field(ge=0, le=1)]
+
+#: Learners that learn nothing: the reward is known. Feedback and teacher mean nothing to them.
+KNOWN_REWARDS = ("true", "prior")
+
+
+class Section(BaseModel):
+    """What all sections share."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+
+class AgentConfig(Section):
+    """SAC (appendix, table of SAC hyper-parameters; what that table leaves open follows B-Pref)."""
+
+    hidden: Count = 256  #: units of each hidden layer, actor and critic
+    layers: Count = 3  #: hidden layers
+    batch: Count = 512  #: transitions per update
+    actor_lr: Positive = 1e-4  #: Adam step size
+    critic_lr: Positive = 1e-4  #: Adam step size
+    alpha_lr: Positive = 1e-4  #: Adam step size of the log temperature; not in the paper, B-Pref's
+    initial_alpha: Positive = 0.1  #: temperature at the start
+    discount: Fraction = 0.99
+    tau: Fraction = 0.005  #: share of the critic that enters its target
+    target_every: Count = 2  #: updates between two target updates
+    update_every: Count = 1  #: environment steps per update
+
+
+class RewardConfig(Section):
+    """The reward the agent is trained on, and how it is learned (section 3, appendix "Model structure")."""
+
+    learner: str = "pebble"  #: a learner's name, `true`, `prior`, or `file.py:Class`
+    prior: str | None = None  #: residual on this prior: a name, or `file.py:function`
+    prior_digest: str | None = None  #: sha-256 of the user's file behind `prior`; filled in by planning
+    learner_digest: str | None = None  #: likewise for `learner`
+    options: dict[str, Any] = Field(default_factory=dict)  #: what a learner of the user's own wants to be told
+    normaliser: Literal["scale", "zscore"] = "scale"  #: appendix (default), or the main text's
+    members: Count = 3  #: networks of the ensemble
+    hidden: Count = 256
+    layers: Count = 3
+    lr: Positive = 3e-4  #: Adam; the appendix' value, the main text says 3e-3
+    minibatch: Count = 128  #: labelled pairs per gradient step
+    epochs: Count = 10  #: passes over all labels per session at the most
+    target_accuracy: Fraction = 0.97  #: stop after an epoch above it; 1 never stops early
+    capacity: Count = 10_000  #: newest labels kept
+
+    @property
+    def is_learned(self) -> bool:
+        """False where the reward is known beforehand (true reward, prior alone)."""
+        return self.learner not in KNOWN_REWARDS
+
+
+class FeedbackConfig(Section):
+    """When how many queries are put (section 4.1; sampler, pool and window after B-Pref)."""
+
+    every: Count = 5000  #: environment steps between sessions
+    batch: Count = 50  #: queries of a session
+    budget: Count = 5000  #: queries in all
+    segment: Count = 50  #: steps of a segment
+    sampler: Literal["uniform", "disagreement", "entropy", "kcenter", "kcenter-disagreement", "kcenter-entropy"] = (
+        "disagreement"  #: from the second session on; the first is uniform
+    )
+    pool: Count = 10  #: candidate pairs per query asked
+    schedule: Literal["constant", "decay", "grow"] = "constant"  #: of the batch over the run
+    window: Count = 100  #: newest complete episodes that segments are drawn from
+
+
+class TeacherConfig(Section):
+    """The scripted teacher of B-Pref (appendix "Noisy teacher models")."""
+
+    beta: Annotated[float, Field(gt=0, allow_inf_nan=False)] | None = None  #: rationality; None is without doubt
+    gamma: Annotated[float, Field(gt=0, le=1)] = 1.0  #: below 1 the last steps of a segment weigh most
+    mistake: Fraction = 0.0  #: probability of a flipped label
+    skip: Annotated[float, Field(ge=0, allow_inf_nan=False)] = (
+        0.0  #: pairs below this share of a typical segment: no label
+    )
+    equal: Annotated[float, Field(ge=0, allow_inf_nan=False)] = 0.0  #: pairs closer than this share are called equal
+
+
+class ExplorationConfig(Section):
+    """What happens before the first session, or before the first update where nothing is asked."""
+
+    seed_steps: NonNegative = 1000  #: uniformly random actions
+    unsupervised_steps: NonNegative = 0  #: updates on state entropy; 9000 for the baselines, 0 for residual models
+    neighbours: Count = 5  #: k of the entropy estimate
+    reset_updates: NonNegative = 100  #: updates right after the first session
+
+
+class EvaluationConfig(Section):
+    """The protocol behind every row of the curve."""
+
+    every: Count = 10_000  #: environment steps; the final step is always evaluated
+    episodes: Count = 10
+    success: Literal["any", "last"] = "any"  #: success at any step of the episode, or at its last
+    deterministic: Literal[True] = True  #: the policy's mode; a sample would draw from a stream of training

@@ -1,0 +1,38 @@
+"""Errors a person can act on: each says what was given, what is accepted and what to do."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable
+
+
+class RrmError(ValueError):
+    """A mistake in what the library was given (configuration, prior, label, file), not a bug in the library."""
+
+
+class ConfigError(RrmError):
+    """A configuration that cannot be run."""
+
+
+class UnknownNameError(RrmError):
+    """A name that no table holds; the message suggests the nearest one."""
+
+    def __init__(self, kind: str, name: str, known: Iterable[str]) -> None:
+        names = sorted(known)
+        near = difflib.get_close_matches(name, names, n=1)
+        hint = f'; did you mean "{near[0]}"?' if near else ""
+        super().__init__(f'unknown {kind} "{name}"{hint} known: {", ".join(names)}')
+        self.kind = kind
+        self.name = name
+
+
+class PriorError(RrmError):
+    """A prior that raised, or returned something other than one finite number."""
+
+
+class CheckpointError(RrmError):
+    """A checkpoint that is missing, torn or of another version."""
+
+
+class NumericalError(RrmError):
+    """A reward, action or loss that is not finite."""

@@ -1,0 +1,35 @@
+"""Running mean and variance, batch by batch (Chan, Golub and LeVeque 1979; Welford's rule for batches of one)."""
+
+from __future__ import annotations
+
+import math
+
+from rrm.types import State
+
+
+class RunningMoments:
+    """Mean and population variance of all numbers added so far, in float64."""
+
+    def __init__(self) -> None:
+        self.count = 0
+        self.mean = 0.0
+        self._squares = 0.0  # sum of squared deviations from the mean
+
+    def add(self, count: int, mean: float, variance: float) -> None:
+        """Take in `count` numbers of this mean and population variance."""
+        delta = mean - self.mean
+        total = self.count + count
+        self.mean += delta * count / total
+        self._squares += variance * count + delta * delta * self.count * count / total
+        self.count = total
+
+    @property
+    def std(self) -> float:
+        """Population standard deviation; 0 before two numbers."""
+        return math.sqrt(self._squares / self.count) if self.count else 0.0
+
+    def state_dict(self) -> State:
+        return {"count": self.count, "mean": self.mean, "squares": self._squares}
+
+    def load_state_dict(self, state: State) -> None:
+        self.count, self.mean, self._squares = int(state["count"]), float(state["mean"]), float(state["squares"])

@@ -1,0 +1,56 @@
+"""A reward learned from nothing but preferences: an ensemble of networks of (s, a), each bounded by tanh (PEBBLE)."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from rrm.config import RewardConfig
+from rrm.interfaces import RewardFunction
+from rrm.nets.mlp import StackedMLP
+from rrm.types import Segments, State
+
+
+class BoundedEnsemble:
+    """N independent networks with outputs in (-1, 1) (appendix "Model structure")."""
+
+    def __init__(self, config: RewardConfig, inputs: int, generator: torch.Generator) -> None:
+        self.net = StackedMLP(
+            config.members, inputs, config.hidden, config.layers, 1,
+            activation="leaky_relu", init="torch", generator=generator,
+        )  # fmt: skip
+
+    def __call__(self, x: Tensor) -> Tensor:
+        """Outputs [N, B, T] for inputs [B, T, D] shared by the members, or [N, B, T, D] of their own."""
+        shape = x.shape[-3:-1]
+        flat = x.flatten(-3, -2)
+        return torch.tanh(self.net(flat)).view(-1, *shape)
+
+
+class EnsembleReward:
+    """r(s, a) by every member; the prior is not looked at."""
+
+    def __init__(self, config: RewardConfig, obs_dim: int, act_dim: int, generator: torch.Generator) -> None:
+        self._ensemble = BoundedEnsemble(config, obs_dim + act_dim, generator)
+
+    def members(self, segments: Segments) -> Tensor:
+        return self._ensemble(torch.cat([segments.obs, segments.act], dim=-1))
+
+    def predict(self, obs: Tensor, act: Tensor, prior: Tensor) -> Tensor:
+        return mean_reward(self, obs, act, prior)
+
+    def parameters(self) -> list[Tensor]:
+        return self._ensemble.net.parameters()
+
+    def state_dict(self) -> State:
+        return {"weights": self._ensemble.net.flat.clone()}
+
+    def load_state_dict(self, state: State) -> None:
+        self._ensemble.net.flat.copy_(state["weights"])
+
+
+@torch.no_grad()
+def mean_reward(reward: RewardFunction, obs: Tensor, act: Tensor, prior: Tensor) -> Tensor:
+    """Mean over the members of the reward of single steps, [B], for obs [B, O], act [B, A] and prior [B]."""
+    steps = Segments(obs.unsqueeze(0), act.unsqueeze(0), prior.unsqueeze(0))
+    return reward.members(steps).mean(dim=0).squeeze(0)

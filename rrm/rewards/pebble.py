@@ -1,0 +1,77 @@
+"""PEBBLE's way to train a reward from preferences: an ensemble fitted to all labels so far (Lee et al. 2021; B-Pref).
+
+Whether the reward is a network alone or a prior with a residual makes no difference here. Departures from B-Pref:
+pairs called equal are left out of the accuracy, and the loss always accepts them.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from rrm.config import RewardConfig
+from rrm.interfaces import Agent, Feedback, RewardFunction
+from rrm.losses import preference_logit, preference_loss
+from rrm.types import Batch, Segments, State
+
+
+class Pebble:
+    """Cross-entropy of the Bradley-Terry model, every member with its own order of the labels."""
+
+    def __init__(self, reward: RewardFunction, config: RewardConfig, rng: np.random.Generator) -> None:
+        """Args: rng: the stream that shuffles labels."""
+        self.reward = reward
+        self.config = config
+        self._rng = rng
+        self._optimizer = torch.optim.Adam(reward.parameters(), lr=config.lr, fused=True)
+
+    def fit(self, feedback: Feedback) -> dict[str, float]:
+        """Up to `epochs` passes over all labels, until the accuracy of an epoch exceeds `target_accuracy`.
+
+        Returns:
+            `label_accuracy` of the last epoch (each minibatch before its step, ties left out; NaN if all are ties),
+            `reward_loss`, and `epochs` done.
+        """
+        epochs = 0
+        accuracy = loss = float("nan")
+        while epochs < self.config.epochs and not accuracy > self.config.target_accuracy:
+            accuracy, loss = self._epoch(feedback)
+            epochs += 1
+        return {"label_accuracy": accuracy, "reward_loss": loss, "epochs": float(epochs)}
+
+    def _epoch(self, feedback: Feedback) -> tuple[float, float]:
+        members, count = self.config.members, len(feedback)
+        order = torch.from_numpy(np.stack([self._rng.permutation(count) for _ in range(members)]))
+        right, decided, total = 0.0, 0.0, 0.0
+        for index in torch.split(order, self.config.minibatch, dim=1):
+            first, second, target = feedback.pairs(index)
+            logit = self._logits(first, second)
+            loss = preference_loss(logit, target)
+            self._optimizer.zero_grad(set_to_none=True)
+            loss.backward()  # type: ignore[no-untyped-call]
+            self._optimizer.step()
+            with torch.no_grad():
+                clear = target != 0.5
+                right += float(((logit > 0) == (target > 0.5))[clear].sum())
+                decided += float(clear.sum())
+                total += float(loss) * index.shape[1]
+        return right / decided if decided else float("nan"), total / count
+
+    def _logits(self, first: Segments, second: Segments) -> Tensor:
+        both = Segments(*(torch.cat([a, b], dim=1) for a, b in zip(first, second, strict=True)))
+        r_first, r_second = self.reward.members(both).chunk(2, dim=1)
+        return preference_logit(r_first, r_second)
+
+    def refine(self, batch: Batch, agent: Agent) -> bool:  # noqa: ARG002 (the seam other learners use)
+        """PEBBLE learns in sessions alone."""
+        return False
+
+    def state_dict(self) -> State:
+        return {"reward": self.reward.state_dict(), "optimizer": self._optimizer.state_dict()["state"]}
+
+    def load_state_dict(self, state: State) -> None:
+        self.reward.load_state_dict(state["reward"])
+        groups = self._optimizer.state_dict()["param_groups"]
+        moments = {int(key): value for key, value in state["optimizer"].items()}
+        self._optimizer.load_state_dict({"state": moments, "param_groups": groups})

@@ -1,0 +1,71 @@
+"""One seed becomes named, independent random streams, each of which can be saved.
+
+One more draw in one place must not shift the others, so every purpose has a stream of its own. The streams in use:
+`env` (resets), `explore` (random and policy actions), `agent` (update noise), `replay` (batches), `init` (weights),
+`reward` (minibatches of reward learning), `query` (segment pairs), `teacher` (label noise), `prior` (random priors).
+Evaluation draws from `evaluation_seed` and never from a stream of training.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from rrm.types import State
+
+if TYPE_CHECKING:
+    import torch
+
+
+def _entropy(seed: int, name: str) -> list[int]:
+    digest = hashlib.sha256(name.encode()).digest()
+    return [seed, int.from_bytes(digest[:8], "little")]
+
+
+def evaluation_seed(seed: int, step: int, episode: int) -> int:
+    """Seed of one evaluation episode: a pure function of the run's seed, the step and the episode's number."""
+    sequence = np.random.SeedSequence([*_entropy(seed, "evaluation"), step, episode])
+    return int(sequence.generate_state(1, np.uint32)[0])
+
+
+class Streams:
+    """The random streams of one run, made on first use and saved together."""
+
+    def __init__(self, seed: int) -> None:
+        """Args: seed: the run's seed, a non-negative integer."""
+        if seed < 0:
+            raise ValueError(f"seed is {seed}; seeds are integers from 0 up")
+        self._seed = seed
+        self._numpy: dict[str, np.random.Generator] = {}
+        self._torch: dict[str, torch.Generator] = {}
+
+    def numpy(self, name: str) -> np.random.Generator:
+        """The numpy generator of this name; the same object at every call."""
+        if name not in self._numpy:
+            self._numpy[name] = np.random.default_rng(_entropy(self._seed, name))
+        return self._numpy[name]
+
+    def torch(self, name: str, device: str = "cpu") -> torch.Generator:
+        """The torch generator of this name on `device`; the same object at every call."""
+        if name not in self._torch:
+            import torch
+
+            words = np.random.SeedSequence(_entropy(self._seed, name)).generate_state(1, np.uint64)
+            self._torch[name] = torch.Generator(device=device).manual_seed(int(words[0]) >> 1)
+        return self._torch[name]
+
+    def state_dict(self) -> State:
+        """Every stream that has been used."""
+        return {
+            "numpy": {name: g.bit_generator.state for name, g in self._numpy.items()},
+            "torch": {name: g.get_state() for name, g in self._torch.items()},
+        }
+
+    def load_state_dict(self, state: State) -> None:
+        """Put every saved stream back where it was."""
+        for name, saved in state["numpy"].items():
+            self.numpy(name).bit_generator.state = saved
+        for name, saved in state["torch"].items():
+            self.torch(name).set_state(saved)

@@ -1,0 +1,170 @@
+"""The complete description of one run. Its digest is the run's identity.
+
+Nothing here imports torch or a simulator, so that planning ten thousand runs is quick.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+from pathlib import Path
+from typing import Any, Literal, Self
+
+from pydantic import model_validator
+
+from rrm.config import (
+    KNOWN_REWARDS,
+    AgentConfig,
+    Count,
+    EvaluationConfig,
+    ExplorationConfig,
+    FeedbackConfig,
+    NonNegative,
+    RewardConfig,
+    Section,
+    TeacherConfig,
+)
+from rrm.envs.tasks import TASKS, Task, task
+from rrm.errors import ConfigError, UnknownNameError
+from rrm.priors import check_prior
+from rrm.registry import is_file_reference, source_digest
+from rrm.rewards import LEARNERS
+
+#: Raised by one when the same configuration would give other numbers than before.
+CONFIG_VERSION = 1
+
+
+class RunConfig(Section):
+    """One run. Two runs with equal configurations are the same run."""
+
+    profile: str = "paper"  #: which scale this is; reports never mix two
+    task: str
+    seed: NonNegative
+    steps: Count  #: environment steps
+    horizon: Count | None = None  #: steps of an episode where shorter than the task's own
+    agent: AgentConfig = AgentConfig()
+    reward: RewardConfig = RewardConfig()
+    feedback: FeedbackConfig | None = FeedbackConfig()  #: None where no reward is learned
+    teacher: TeacherConfig | None = TeacherConfig()  #: likewise
+    exploration: ExplorationConfig = ExplorationConfig()
+    evaluation: EvaluationConfig = EvaluationConfig()
+    precision: Literal["float32"] = "float32"
+    threads: Count = 1  #: of torch; another number may round differently
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        spec = task(self.task)
+        if self.horizon is not None and self.horizon > spec.horizon:
+            raise ConfigError(f"horizon: {self.horizon} steps is longer than {self.task}'s episode of {spec.horizon}")
+        if self.reward.learner not in (*LEARNERS, *KNOWN_REWARDS) and not is_file_reference(self.reward.learner):
+            raise UnknownNameError("learner", self.reward.learner, (*LEARNERS, *KNOWN_REWARDS))
+        if self.reward.prior is not None:
+            check_prior(self.reward.prior, spec)
+        elif self.reward.learner == "prior":
+            raise ConfigError('reward.prior: the learner "prior" trains on a prior alone and needs one named')
+        if self.reward.is_learned:
+            self._feedback_can_be_met()
+        return self
+
+    def _feedback_can_be_met(self) -> None:
+        if self.feedback is None or self.teacher is None:
+            raise ConfigError(f"feedback and teacher: the learner {self.reward.learner!r} needs both")
+        if self.feedback.segment > self.episode_steps:
+            raise ConfigError(
+                f"feedback.segment: {self.feedback.segment} steps do not fit into an episode of {self.episode_steps}"
+            )
+        if self.first_session >= self.steps:
+            raise ConfigError(
+                f"steps: the run ends at {self.steps}, before the first feedback at {self.first_session} "
+                "(random and unsupervised steps, and two complete episodes, come first)"
+            )
+
+    @property
+    def episode_steps(self) -> int:
+        """Steps of an episode in this run."""
+        return self.horizon or task(self.task).horizon
+
+    @property
+    def random_steps(self) -> int:
+        """Steps of random actions: prolonged where the first session would come before two complete episodes."""
+        explore = self.exploration
+        if not self.reward.is_learned:
+            return explore.seed_steps
+        return max(explore.seed_steps, 2 * self.episode_steps - explore.unsupervised_steps)
+
+    @property
+    def first_session(self) -> int:
+        """The step before which the first feedback is given."""
+        return self.random_steps + self.exploration.unsupervised_steps
+
+    @property
+    def method(self) -> str:
+        """The method's name in tables: oracle, pebble, rrm-proxy, rrm-surf-proxy, sac-proxy."""
+        learner, prior = _short(self.reward.learner), _short(self.reward.prior or "")
+        if learner == "true":
+            return "oracle"
+        if learner == "prior":
+            return f"sac-{prior}"
+        if not prior:
+            return learner
+        return f"rrm-{prior}" if learner == "pebble" else f"rrm-{learner}-{prior}"
+
+    def canonical(self) -> RunConfig:
+        """The same run with everything that cannot change its numbers at its default, and user files digested.
+
+        Raises:
+            ConfigError: a file of the user's cannot be read.
+        """
+        reward = self.reward
+        changes: dict[str, Any] = {}
+        if not reward.is_learned:
+            keep = {"learner": reward.learner, "prior": reward.prior, "normaliser": reward.normaliser}
+            reward = RewardConfig(**(keep if reward.learner == "prior" else {"learner": reward.learner}))
+            changes |= {"feedback": None, "teacher": None}
+            changes["exploration"] = ExplorationConfig(seed_steps=self.exploration.seed_steps)
+        digests = {"learner_digest": source_digest(reward.learner)}
+        if reward.prior is not None:
+            digests["prior_digest"] = source_digest(reward.prior)
+        changes["reward"] = reward.model_copy(update=digests)
+        if self.horizon == TASKS[self.task].horizon:
+            changes["horizon"] = None
+        return self.model_copy(update=changes)
+
+    @property
+    def identity(self) -> str:
+        """Sixteen hex digits that stand for everything that can change the run's numbers.
+
+        Values equal to their default are left out, so that a new setting whose default changes nothing keeps the
+        identities of runs made before it existed; a default that changes numbers raises `CONFIG_VERSION`.
+        """
+        return self._digest(exclude=set())
+
+    @property
+    def cell(self) -> str:
+        """The identity of the run's seeds together: what is equal between the runs one averages over."""
+        return self._digest(exclude={"seed"})
+
+    def _digest(self, exclude: set[str]) -> str:
+        described = self.canonical().model_dump(mode="json", exclude_defaults=True, exclude=exclude)
+        for key in ("prior", "learner"):  # a user's file is known by its content, wherever it lies
+            name = described.get("reward", {}).get(key)
+            if name is not None and is_file_reference(name):
+                described["reward"][key] = name.rpartition(":")[2]
+        text = json.dumps({"version": CONFIG_VERSION, **described}, sort_keys=True, allow_nan=False)
+        return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+    def spec(self) -> Task:
+        """The task's description."""
+        return task(self.task)
+
+    def sessions(self) -> int:
+        """Feedback sessions that fit into the run at its budget; 0 where nothing is learned."""
+        if not self.reward.is_learned or self.feedback is None:
+            return 0
+        fit = 1 + (self.steps - 1 - self.first_session) // self.feedback.every
+        return min(fit, math.ceil(self.feedback.budget / self.feedback.batch))
+
+
+def _short(name: str) -> str:
+    return Path(name.rpartition(":")[0]).stem if is_file_reference(name) else name

@@ -1,0 +1,41 @@
+"""Evaluation on an environment and random streams of its own, so that it cannot disturb training."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from rrm.config import EvaluationConfig
+from rrm.interfaces import Agent, Env
+from rrm.seeding import evaluation_seed
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """What a policy is worth: means over the episodes."""
+
+    true_return: float
+    success: float  #: share of the episodes; NaN where the task has no success criterion
+
+
+def evaluate(agent: Agent, env: Env, config: EvaluationConfig, *, seed: int, step: int) -> Evaluation:
+    """Play `config.episodes` episodes; the instances depend on the run's seed, the step and the episode alone."""
+    episodes = [_episode(agent, env, evaluation_seed(seed, step, number)) for number in range(config.episodes)]
+    counted = [_success(flags, config.success) for _, flags in episodes]
+    return Evaluation(float(np.mean([r for r, _ in episodes])), float(np.mean(counted)))
+
+
+def _episode(agent: Agent, env: Env, seed: int) -> tuple[float, list[float]]:
+    obs, _ = env.reset(seed=seed)
+    total, flags, over = 0.0, [], False
+    while not over:
+        obs, reward, terminated, truncated, info = env.step(agent.act(obs, explore=False))
+        total += reward
+        flags.append(float(info.get("success", np.nan)))
+        over = terminated or truncated
+    return total, flags
+
+
+def _success(flags: list[float], rule: str) -> float:
+    return flags[-1] if rule == "last" else float(np.max(flags))

@@ -1,0 +1,38 @@
+"""Which world a run was made in: the simulators' versions, and what the task's true reward is on fixed states."""
+
+from __future__ import annotations
+
+import hashlib
+from importlib.metadata import version
+
+import numpy as np
+
+from rrm.envs import make, task
+
+_PACKAGES = {
+    "metaworld": ("metaworld", "mujoco", "gymnasium"),
+    "dmc": ("dm-control", "mujoco", "gymnasium"),
+    "toy": ("gymnasium",),
+}
+_STEPS = 50
+
+
+def fingerprint(task_name: str) -> dict[str, str]:
+    """Versions of what the task is made of, and `true_reward`: a digest of its rewards along a fixed random walk.
+
+    Rewards are rounded to six digits, so that machines that differ in the last bits agree.
+    """
+    names = (*_PACKAGES[task(task_name).suite], "numpy", "torch")
+    return {name: version(name) for name in names} | {"true_reward": _reward_digest(task_name)}
+
+
+def _reward_digest(task_name: str) -> str:
+    env = make(task_name)
+    rng = np.random.default_rng(0)
+    try:
+        env.reset(seed=0)
+        rewards = [env.step(rng.uniform(-1, 1, env.action_space.shape).astype(np.float32))[1] for _ in range(_STEPS)]
+    finally:
+        env.close()
+    text = " ".join(f"{reward:.6f}" for reward in rewards)
+    return hashlib.sha256(text.encode()).hexdigest()[:16]

@@ -1,0 +1,129 @@
+"""Jobs: what a process is given to do. There is one kind so far, training a policy."""
+
+from __future__ import annotations
+
+import shutil
+import time
+from collections import deque
+from pathlib import Path
+from typing import Protocol
+
+import torch
+
+from rrm.checkpoint import KEPT, Checkpoints, encode
+from rrm.files import write_atomically
+from rrm.training.config import RunConfig
+from rrm.training.loop import Trainer
+from rrm.types import EvalRow, State
+
+_BEAT_S = 0.25
+
+
+class Monitor(Protocol):
+    """What a job tells whoever started it, and asks of them."""
+
+    def row(self, row: EvalRow) -> None:
+        """Take a finished evaluation; it is durable on return. A row of a step seen before replaces it."""
+
+    def beat(self, step: int, steps_per_s: float) -> None:
+        """Sign of life, a few times a second."""
+
+    def note(self, message: str) -> None:
+        """Something a person should find in the log."""
+
+    def should_stop(self) -> bool:
+        """True: write a checkpoint and return."""
+
+
+def train(config: RunConfig, folder: Path, monitor: Monitor, *, checkpoint_every_s: float = 120.0) -> bool:
+    """Train from the newest checkpoint in `folder`, or from the start, to the end of the run.
+
+    A checkpoint is written after every evaluation and at least every `checkpoint_every_s` seconds; when they are
+    written has no influence on the numbers. A finished run leaves its networks in `folder/model.safetensors` and no
+    checkpoint.
+
+    Returns:
+        True when the run is finished; False when it was told to stop and can be continued.
+
+    Raises:
+        RrmError: what the run was given cannot be run (a prior that fails, numbers that are not finite).
+        OSError: a checkpoint could not be written; the ones before are intact.
+    """
+    torch.set_num_threads(config.threads)
+    checkpoints = Checkpoints(folder / "checkpoint")
+    checkpoints.folder.mkdir(parents=True, exist_ok=True)
+    trainer = _restore(config, checkpoints, monitor)
+    try:
+        finished = _Session(trainer, checkpoints, monitor, checkpoint_every_s).run()
+        if finished:
+            write_atomically(folder / "model.safetensors", encode(trainer.networks()))
+    finally:
+        trainer.close()
+    if finished:
+        shutil.rmtree(checkpoints.folder)
+    return finished
+
+
+def _restore(config: RunConfig, checkpoints: Checkpoints, monitor: Monitor) -> Trainer:
+    trainer = Trainer(config)
+
+    def restore(state: State) -> None:
+        nonlocal trainer
+        if trainer.experience.transitions:  # a checkpoint that turned out damaged half-way through
+            trainer.close()
+            trainer = Trainer(config)
+        trainer.load(checkpoints.folder, state)
+
+    step = checkpoints.load(restore)
+    for damage in checkpoints.skipped:
+        monitor.note(f"checkpoint set aside: {damage}")
+    if step is not None:
+        monitor.note(f"continuing from the checkpoint of step {step}")
+    elif checkpoints.skipped:
+        monitor.note("no usable checkpoint is left: starting again from step 0")
+        trainer.close()
+        trainer = Trainer(config)
+    return trainer
+
+
+class _Session:
+    """One process' share of a run: steps until the end or until told to stop."""
+
+    def __init__(self, trainer: Trainer, checkpoints: Checkpoints, monitor: Monitor, checkpoint_every_s: float) -> None:
+        self.trainer = trainer
+        self.checkpoints = checkpoints
+        self.monitor = monitor
+        self.checkpoint_every_s = checkpoint_every_s
+        self._saved_at = time.monotonic()
+        self._saved_step = trainer.step
+        self._generations = deque([trainer.experience.generation], maxlen=KEPT)  # of the checkpoints that are kept
+
+    def run(self) -> bool:
+        trainer, config = self.trainer, self.trainer.config
+        beat_at, beat_step = time.monotonic(), trainer.step
+        while trainer.step < config.steps:
+            trainer.advance()
+            if trainer.step % config.evaluation.every == 0 or trainer.step == config.steps:
+                self.monitor.row(trainer.evaluate())
+                self._save()
+            now = time.monotonic()
+            if now - beat_at >= _BEAT_S:
+                self.monitor.beat(trainer.step, (trainer.step - beat_step) / (now - beat_at))
+                beat_at, beat_step = now, trainer.step
+            if self.monitor.should_stop():
+                break
+            if now - self._saved_at >= self.checkpoint_every_s:
+                self._save()
+        if trainer.step < config.steps and self._saved_step != trainer.step:
+            self._save()
+        return trainer.step == config.steps
+
+    def _save(self) -> None:
+        trainer = self.trainer
+        if trainer.step == trainer.config.steps:
+            return  # the run is over; its networks are written instead
+        state = trainer.save(self.checkpoints.folder)
+        self.checkpoints.save(trainer.step, state)
+        self._generations.append(trainer.experience.generation)
+        trainer.experience.discard(self.checkpoints.folder, self._generations)
+        self._saved_at, self._saved_step = time.monotonic(), trainer.step

@@ -1,0 +1,60 @@
+"""The shapes that travel between the rooms, written once.
+
+Axes: `B` batch, `T` time inside a segment, `N` ensemble member, `O` observation, `A` action.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+#: What `state_dict` returns: nested dicts and lists of tensors, numpy arrays and JSON values. No other objects, so that
+#: a checkpoint can be written without a pickle.
+State = dict[str, Any]
+
+
+class Batch(NamedTuple):
+    """Transitions for one agent update. It has no true reward: that column is read by teachers and evaluation alone."""
+
+    obs: Tensor  #: float32 [B, O]
+    act: Tensor  #: float32 [B, A], in [-1, 1]
+    prior: Tensor  #: float32 [B], the scaled prior r0 stored at collection; zeros without a prior
+    reward: Tensor  #: float32 [B], what the agent is trained on
+    next_obs: Tensor  #: float32 [B, O]
+    continues: Tensor  #: float32 [B], 0 where the task terminated (a time limit is not a termination), else 1
+
+
+class Segments(NamedTuple):
+    """Consecutive steps of one episode each, as a reward learner sees them."""
+
+    obs: Tensor  #: float32 [B, T, O]
+    act: Tensor  #: float32 [B, T, A]
+    prior: Tensor  #: float32 [B, T], r0 as stored at collection
+
+
+@dataclass(frozen=True, kw_only=True)
+class EvalRow:
+    """One evaluation: a row of a run's curve. Success is a fraction, times are seconds, steps are environment steps."""
+
+    step: int  #: environment steps taken when the policy was evaluated
+    episodes: int  #: evaluation episodes behind this row
+    true_return: float  #: mean undiscounted return of the true reward
+    success: float  #: share of episodes with success at any step; NaN for tasks without a success criterion
+    queries: int  #: queries put to the teacher so far, skipped ones included
+    labels: int  #: labels kept so far
+    label_accuracy: float  #: agreement of the reward with the labels it was last trained on; NaN before any
+    true_accuracy: float  #: agreement with the true reward on fresh uniform pairs; NaN where no reward is learned
+    prior_mean: float  #: mean of r0 over the transitions since the last row; NaN without a prior
+    residual_mean: float  #: mean of (reward - r0) over those transitions; NaN without a prior
+    reward_mean: float  #: mean of the reward the agent was given for those transitions
+    reward_std: float  #: its standard deviation
+    true_reward_mean: float  #: mean true reward of those transitions
+    critic_loss: float  #: last critic loss; NaN before the first update
+    actor_loss: float  #: last actor loss
+    entropy: float  #: last estimate of the policy's entropy, nats
+    alpha: float  #: temperature of SAC
+    wall_s: float  #: training time so far, interruptions left out
+    steps_per_s: float  #: environment steps per second since the last row, evaluation included

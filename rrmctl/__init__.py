@@ -1,0 +1,1 @@
+"""The program around `rrm`: plans, runs, resumes, stores and reports experiments."""

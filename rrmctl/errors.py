@@ -1,0 +1,23 @@
+"""What the program says when it cannot go on, and the exit code it leaves with."""
+
+from __future__ import annotations
+
+from enum import IntEnum
+
+
+class Exit(IntEnum):
+    """Exit codes of `rrmctl`."""
+
+    DONE = 0  #: all that was asked for is there
+    FAILED = 1  #: some job failed
+    USAGE = 2  #: bad manifest, option, file or label
+    INCOMPLETE = 75  #: stopped in good order before all was done; the same command goes on
+    INTERRUPTED = 130  #: stopped at once by a second Ctrl-C
+
+
+class UserError(Exception):
+    """One clear message for a person: what, where, what to do. Becomes exit code 2 without a traceback."""
+
+    def __init__(self, message: str, hint: str | None = None) -> None:
+        super().__init__(message)
+        self.hint = hint
