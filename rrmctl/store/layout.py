@@ -66,9 +66,19 @@ class RunFolder:
         """Empty; what counts is who holds it."""
         return self.path / "lock"
 
+    @property
+    def checkpoint(self) -> Path:
+        """The trainer's own folder."""
+        return self.path / "checkpoint"
+
+    @property
+    def model(self) -> Path:
+        """Written when training is over."""
+        return self.path / "model.safetensors"
+
     def trained(self) -> tuple[Path, ...]:
         """What training leaves, to be removed when a run starts from nothing."""
-        return (self.curve, self.provenance, self.path / "checkpoint", self.path / "model.safetensors")
+        return (self.curve, self.provenance, self.checkpoint, self.model)
 
 
 @dataclass(frozen=True)

@@ -8,14 +8,13 @@ import hashlib
 import importlib.metadata
 import importlib.util
 import json
-import os
 import platform
 import socket
-import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from rrmctl.machine import cpu_model
 from rrmctl.store.atomic import read_json, write_json
 from rrmctl.store.layout import RunFolder
 from rrmctl.store.schema import SCHEMA_VERSION
@@ -99,31 +98,14 @@ def differences(before: Mapping[str, Any], after: Mapping[str, Any]) -> dict[str
 def code_digest(package: str) -> str:
     """Digest over the names and contents of a package's Python files, found without importing it."""
     spec = importlib.util.find_spec(package)
-    assert spec is not None and spec.submodule_search_locations is not None
+    assert spec is not None
+    assert spec.submodule_search_locations is not None
     digest = hashlib.sha256()
     for root in map(Path, spec.submodule_search_locations):
         for path in sorted(root.rglob("*.py")):
             content = hashlib.sha256(path.read_bytes()).hexdigest()
             digest.update(f"{path.relative_to(root).as_posix()} {content}\n".encode())
     return digest.hexdigest()[:16]
-
-
-def cpu_model() -> str:
-    """The processor's name as the system tells it, "unknown" where it does not."""
-    info = Path("/proc/cpuinfo")
-    if info.is_file():
-        for line in info.read_text(errors="replace").splitlines():
-            name, _, value = line.partition(":")
-            if name.strip() == "model name":
-                return value.strip()
-    return platform.processor() or "unknown"
-
-
-def usable_cores() -> int:
-    """Cores this process may run on, which a container or batch system can make fewer than the machine has."""
-    if sys.platform == "linux":
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
 
 
 def _latest(known: Mapping[str, Any]) -> dict[str, Any]:

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterable
+import os
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
 from pathlib import Path
 from typing import Any, Self
 
-from rrmctl.store.atomic import DamagedError, locked, read_json, remove_leftovers, write_json
+from rrmctl.store.atomic import DamagedError, locked, read_json, remove_leftovers, try_lock, write_json
 from rrmctl.store.layout import Layout, RunFolder
 from rrmctl.store.schema import SCHEMA_VERSION
 
@@ -47,7 +48,7 @@ class RunError:
         return f"{self.type}: {self.message}"
 
     @classmethod
-    def from_json(cls, value: dict[str, Any]) -> Self:
+    def from_json(cls, value: Mapping[str, Any]) -> Self:
         """The inverse of `dataclasses.asdict`."""
         return cls(kind=ErrorKind(value["kind"]), type=str(value["type"]), message=str(value["message"]))
 
@@ -106,6 +107,35 @@ def read_status(folder: RunFolder) -> Status:
 def write_status(folder: RunFolder, status: Status) -> None:
     """Replace the run's status. Only for the holder of its lock."""
     write_json(folder.status, status.to_json())
+
+
+def record_failure(folder: RunFolder, error: RunError) -> None:
+    """Record that a run failed whose worker could not say so. Leaves a run alone that another process owns by now.
+
+    Raises:
+        StorageError: the folder takes no write.
+        DamagedError: its status is damaged.
+    """
+    lock = try_lock(folder.lock)
+    if lock is None:
+        return
+    try:
+        status = read_status(folder)
+        if status.state not in (State.DONE, State.FAILED):
+            write_status(folder, dataclasses.replace(status, state=State.FAILED, error=error))
+    finally:
+        os.close(lock)
+
+
+def record_config(folder: RunFolder, content: dict[str, Any]) -> None:
+    """Write the run's `config.json` unless it says the same already.
+
+    Raises:
+        StorageError: the results folder takes no write.
+        DamagedError: the file that is there is damaged.
+    """
+    if read_json(folder.config) != content:
+        write_json(folder.config, content)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -39,6 +39,11 @@ class CurveWriter:
     def __len__(self) -> int:
         return len(self._rows)
 
+    @property
+    def last_step(self) -> int:
+        """Step of the last evaluation; 0 before the first."""
+        return max(self._rows, default=0)
+
     def add(self, row: Mapping[str, Any]) -> None:
         """Write one evaluation, durably; a row of the same step is replaced.
 

@@ -1,0 +1,167 @@
+"""One child process: started in its own process group, listened to, and its end put into words."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from rrmctl.scheduler import Ending, Outcome
+from rrmctl.store.atomic import storage_error
+from rrmctl.store.layout import Layout
+from rrmctl.store.records import ErrorKind, RunError
+from rrmctl.worker import WorkerExit
+
+#: How a worker is started. -P: files that lie around are not modules.
+WORKER = (sys.executable, "-P", "-m", "rrmctl.worker")
+
+#: Variables from which libraries take their number of threads when they are imported.
+_THREAD_VARIABLES = (
+    "OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMEXPR_NUM_THREADS", "VECLIB_MAXIMUM_THREADS"
+)  # fmt: skip
+
+
+class Child:
+    """The worker of one run. Its output goes to the run's log.
+
+    Args:
+        layout: the results root.
+        job: the run's id.
+        threads: it may use.
+        options: further arguments of the worker.
+        command: the program, to which root, id and options are added.
+
+    Raises:
+        StorageError: the log cannot be opened.
+        OSError: the system starts no further process.
+    """
+
+    def __init__(
+        self, layout: Layout, job: str, *, threads: int, options: Sequence[str] = (), command: Sequence[str] = WORKER
+    ) -> None:
+        self.job = job
+        self.heard = time.monotonic()  #: when the last message arrived
+        self.error: RunError | None = None  #: as the worker told it
+        self.hung = False  #: it was ended for its silence
+        self.open = True  #: its pipe is
+        self._text = b""  # of a line that is not complete
+        reading, writing = os.pipe()
+        try:
+            self._process = _start(layout, job, [*command, str(layout.root), job, *options], writing, threads)
+        except BaseException:
+            os.close(reading)
+            raise
+        finally:
+            os.close(writing)
+        os.set_blocking(reading, False)
+        self._pipe = reading
+
+    def fileno(self) -> int:
+        """The descriptor that messages arrive on, for selectors."""
+        return self._pipe
+
+    def messages(self) -> list[dict[str, Any]]:
+        """What has arrived since the last call, whole lines only. Closes the pipe at its end."""
+        messages: list[dict[str, Any]] = []
+        while self.open:
+            try:
+                data = os.read(self._pipe, 65536)
+            except BlockingIOError:
+                break
+            if not data:
+                self.close()
+                break
+            self.heard = time.monotonic()
+            *lines, self._text = (self._text + data).split(b"\n")
+            messages += map(json.loads, lines)
+        return messages
+
+    def close(self) -> None:
+        """Stop listening."""
+        if self.open:
+            self.open = False
+            os.close(self._pipe)
+
+    def ended(self) -> bool:
+        """True once the process is gone; what it had started is ended with it."""
+        if self._process.poll() is None:
+            return False
+        self.kill()
+        return True
+
+    def ask_to_stop(self) -> None:
+        """Have it checkpoint and leave."""
+        self._process.terminate()
+
+    def kill(self) -> None:
+        """End it, and whatever it has started, now."""
+        with contextlib.suppress(ProcessLookupError, PermissionError):  # nobody is left in the group
+            os.killpg(self._process.pid, signal.SIGKILL)
+
+    def wait(self) -> None:
+        """Wait for its end."""
+        self._process.wait()
+        self.close()
+
+    def outcome(self, *, stopping: bool) -> Outcome:
+        """How the attempt ended, once it has.
+
+        Args:
+            stopping: workers had been asked to leave, and may have been ended for taking too long.
+        """
+        code = self._process.returncode
+        endings: dict[int, Ending] = {
+            WorkerExit.DONE: Ending.DONE, WorkerExit.STOPPED: Ending.STOPPED, WorkerExit.LOCKED: Ending.ELSEWHERE
+        }  # fmt: skip
+        if code in endings:
+            return Outcome(endings[code])
+        if self.error is None and stopping and -code in (signal.SIGKILL, signal.SIGTERM):
+            return Outcome(Ending.STOPPED)  # too slow to leave, or not begun; its last checkpoint holds
+        return Outcome(Ending.FAILED, self.error or self._unspoken(code))
+
+    def _unspoken(self, code: int) -> RunError:
+        """Why a worker is gone that could not say so itself."""
+        if self.hung:
+            return RunError(kind=ErrorKind.HUNG, type="Hung", message="gave no sign of life and was ended")
+        if code >= 0:
+            return RunError(kind=ErrorKind.CRASHED, type="Exit", message=f"left with exit code {code}")
+        told = f"killed by signal {-code}"
+        if -code == signal.SIGKILL:
+            told += ", by somebody or by the system for want of memory"
+        return RunError(kind=ErrorKind.KILLED, type=_signal_name(-code), message=told)
+
+
+def worker_environment(threads: int, base: Mapping[str, str] = os.environ) -> dict[str, str]:
+    """The environment of a worker: threads limited, no renderer unless the user chose one."""
+    environment = dict(base) | dict.fromkeys(_THREAD_VARIABLES, str(threads)) | {"PYTHONUNBUFFERED": "1"}
+    environment.setdefault("MUJOCO_GL", "disabled")
+    # mujoco leaves its choice of renderer there, and a child with another choice refuses to start.
+    environment.pop("PYOPENGL_PLATFORM", None)
+    return environment
+
+
+def _start(layout: Layout, job: str, command: list[str], pipe: int, threads: int) -> subprocess.Popen[bytes]:
+    path = layout.run(job).log
+    try:
+        log = path.open("ab")
+    except OSError as error:
+        raise storage_error(path, error) from error
+    with log:
+        return subprocess.Popen(
+            [*command, "--pipe", str(pipe), "--parent", str(os.getpid())],
+            stdin=subprocess.DEVNULL, stdout=log, stderr=subprocess.STDOUT, pass_fds=(pipe,),
+            start_new_session=True, env=worker_environment(threads),
+        )  # fmt: skip
+
+
+def _signal_name(number: int) -> str:
+    try:
+        return signal.Signals(number).name
+    except ValueError:
+        return f"signal {number}"

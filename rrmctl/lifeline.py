@@ -1,0 +1,124 @@
+"""What ties a worker to its parent: progress up a pipe, and the wish to stop coming down."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import signal
+import sys
+import threading
+import time
+from types import FrameType, TracebackType
+from typing import Any, Self
+
+from rrmctl.store.records import RunError
+
+#: Least time between two beats, seconds.
+_BEAT_S = 0.25
+
+#: How often a worker looks whether its parent still lives, seconds.
+_WATCH_S = 0.5
+
+#: How long a worker without a parent may take to checkpoint before it ends itself, seconds.
+_GRACE_S = 120.0
+
+#: A line up to this length arrives whole or not at all (POSIX: at least 512; Linux: 4096).
+_LINE = 4000 if os.name == "posix" and os.uname().sysname == "Linux" else 500
+
+
+def say(text: str) -> None:
+    """A line for the run's log, which is the worker's standard output."""
+    sys.stdout.write(f"{text}\n")
+    sys.stdout.flush()
+
+
+class Pipe:
+    """The worker's end of the pipe: one JSON object per line, without ever waiting for the reader.
+
+    Args:
+        descriptor: where to write; None when nobody listens.
+    """
+
+    def __init__(self, descriptor: int | None) -> None:
+        self._descriptor = descriptor
+        self._last_beat = -math.inf
+        self.broken = False  #: the reader is gone
+        if descriptor is not None:
+            os.set_blocking(descriptor, False)
+            os.set_inheritable(descriptor, False)
+
+    def beat(self, step: int, steps_per_s: float) -> None:
+        """A sign of life, a few times a second at the most."""
+        if time.monotonic() - self._last_beat >= _BEAT_S:
+            self._last_beat = time.monotonic()
+            self.send(event="beat", step=step, steps_per_s=steps_per_s if math.isfinite(steps_per_s) else None)
+
+    def note(self, text: str) -> None:
+        """Something a person should read; it is printed into the log as well."""
+        say(f"--- {text}")
+        self.send(event="note", text=text[: _LINE // 2])
+
+    def error(self, error: RunError) -> None:
+        """Why the worker leaves."""
+        self.send(event="error", kind=error.kind, type=error.type[:100], message=error.message[: _LINE // 2])
+
+    def send(self, **message: Any) -> None:
+        """Any message. It is dropped when the pipe is full: its reader sleeps, and the files tell the same."""
+        if self._descriptor is None or self.broken:
+            return
+        line = json.dumps(message) + "\n"
+        try:
+            os.write(self._descriptor, line.encode())
+        except BlockingIOError:
+            return
+        except BrokenPipeError:
+            self.broken = True
+
+
+class StopRequest:
+    """Set by SIGTERM, SIGINT, or the death of the parent. Used as a context, in the main thread.
+
+    Args:
+        parent: the process to watch; None when the worker was started by hand.
+        pipe: told why.
+    """
+
+    def __init__(self, parent: int | None, pipe: Pipe) -> None:
+        self._parent = parent
+        self._pipe = pipe
+        self._requested = threading.Event()
+        self._left = threading.Event()
+        self._handlers: dict[signal.Signals, Any] = {}
+
+    @property
+    def requested(self) -> bool:
+        """True once the run should be checkpointed and left."""
+        return self._requested.is_set() or self._pipe.broken
+
+    def __enter__(self) -> Self:
+        for number in (signal.SIGTERM, signal.SIGINT):
+            self._handlers[number] = signal.signal(number, self._on_signal)
+        if self._parent is not None:
+            threading.Thread(target=self._watch, args=(self._parent,), daemon=True).start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._left.set()
+        for number, handler in self._handlers.items():
+            signal.signal(number, handler)
+
+    def _on_signal(self, _number: int, _frame: FrameType | None) -> None:
+        self._requested.set()
+
+    def _watch(self, parent: int) -> None:
+        while os.getppid() == parent:
+            if self._left.wait(_WATCH_S):
+                return
+        self._requested.set()
+        # Nobody is left to end this process should it hang, so it does so itself, with whatever it has started.
+        if not self._left.wait(_GRACE_S):
+            leads = os.getpgrp() == os.getpid()
+            (os.killpg if leads else os.kill)(os.getpid(), signal.SIGKILL)

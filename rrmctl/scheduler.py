@@ -1,0 +1,170 @@
+"""Which job may start, which is tried again and when all is over: a state machine without processes or clocks."""
+
+from __future__ import annotations
+
+from collections import Counter, deque
+from collections.abc import Iterable
+from dataclasses import dataclass
+from enum import StrEnum
+
+from rrmctl.errors import Exit
+from rrmctl.store.records import ErrorKind, RunError
+
+
+class Phase(StrEnum):
+    """Where a job stands in this process' eyes."""
+
+    WAITING = "waiting"
+    RUNNING = "running"
+    ELSEWHERE = "elsewhere"  #: another process owns it; it will be done, or free again
+    DONE = "done"
+    FAILED = "failed"
+    STOPPED = "stopped"  #: left in good order before its end; a later command goes on with it
+
+
+class Ending(StrEnum):
+    """How an attempt ended."""
+
+    DONE = "done"
+    STOPPED = "stopped"  #: checkpointed and left
+    FAILED = "failed"  #: see the error
+    ELSEWHERE = "elsewhere"  #: it did not begin: another process owns the run
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """The end of one attempt."""
+
+    ending: Ending
+    error: RunError | None = None  #: of one that failed
+
+
+#: Failures worth another attempt. The others would fail again in the same way.
+RETRIED = frozenset({ErrorKind.CRASHED, ErrorKind.KILLED, ErrorKind.HUNG})
+
+
+class Scheduler:
+    """The jobs of one command.
+
+    Args:
+        jobs: their ids, in the order in which they should start.
+        slots: how many may run at a time.
+        retries: how often a job that crashed is tried again without a further evaluation in between.
+    """
+
+    def __init__(self, jobs: Iterable[str], *, slots: int, retries: int = 2) -> None:
+        self._queue: deque[str] = deque(jobs)
+        self._phase = dict.fromkeys(self._queue, Phase.WAITING)
+        self._slots = slots
+        self._retries = retries
+        self._crashes: Counter[str] = Counter()
+        self._rows: dict[str, int] = {}
+        self._elsewhere: set[str] = set()
+        self._running = 0
+        self.stopping = False  #: nothing starts any more
+
+    def next(self) -> str | None:
+        """The job that may start now; None while every slot is taken or nothing waits."""
+        if self.stopping or self._running >= self._slots or not self._queue:
+            return None
+        return self._queue[0]
+
+    def start(self, job: str) -> None:
+        """The job `next` named is running."""
+        self._queue.remove(job)
+        self._phase[job] = Phase.RUNNING
+        self._running += 1
+
+    def resumed(self, job: str, rows: int) -> None:
+        """The attempt began with so many evaluations; more than the one before it forgives earlier crashes."""
+        if rows > self._rows.get(job, 0):
+            self._crashes[job] = 0
+        self._rows[job] = rows
+
+    def end(self, job: str, outcome: Outcome) -> Phase:
+        """An attempt ended: a running one, one that ran elsewhere, or one that need not start at all.
+
+        Returns:
+            The job's new phase; `waiting` means that it will be tried again.
+        """
+        self._leave(job)
+        self._enter(job, self._after(job, outcome))
+        return self._phase[job]
+
+    def free(self, job: str) -> None:
+        """A job that ran elsewhere was given up there; it is the next to start here."""
+        self._leave(job)
+        self._phase[job] = Phase.WAITING
+        self._queue.appendleft(job)
+
+    def stop(self) -> None:
+        """Start nothing any more."""
+        self.stopping = True
+
+    @property
+    def finished(self) -> bool:
+        """True when there is nothing left to wait for."""
+        if self._running:
+            return False
+        return self.stopping or not (self._queue or self._elsewhere)
+
+    @property
+    def elsewhere(self) -> list[str]:
+        """Jobs that other processes own."""
+        return sorted(self._elsewhere)
+
+    def phase(self, job: str) -> Phase:
+        """Where a job stands."""
+        return self._phase[job]
+
+    def counts(self) -> Counter[Phase]:
+        """Jobs by phase."""
+        return Counter(self._phase.values())
+
+    def exit_code(self) -> Exit:
+        """What the command leaves with: incomplete while there is more to do, else failed if anything failed."""
+        counts = self.counts()
+        if counts[Phase.DONE] + counts[Phase.FAILED] < len(self._phase):
+            return Exit.INCOMPLETE
+        return Exit.FAILED if counts[Phase.FAILED] else Exit.DONE
+
+    def _after(self, job: str, outcome: Outcome) -> Phase:
+        match outcome.ending:
+            case Ending.DONE:
+                return Phase.DONE
+            case Ending.STOPPED:
+                return Phase.STOPPED
+            case Ending.ELSEWHERE:
+                return Phase.ELSEWHERE
+            case Ending.FAILED:
+                return self._after_failure(job, outcome.error)
+
+    def _after_failure(self, job: str, error: RunError | None) -> Phase:
+        assert error is not None  # a failure says why
+        if error.kind is ErrorKind.STORAGE:
+            self.stop()  # whatever starts next would meet the same folder
+            return Phase.STOPPED
+        if error.kind not in RETRIED:
+            return Phase.FAILED
+        self._crashes[job] += 1
+        if self._crashes[job] > self._retries:
+            return Phase.FAILED
+        return Phase.WAITING
+
+    def _enter(self, job: str, phase: Phase) -> None:
+        self._phase[job] = phase
+        if phase is Phase.WAITING:
+            self._queue.append(job)  # behind the others: what crashed one job may be gone by then
+        elif phase is Phase.ELSEWHERE:
+            self._elsewhere.add(job)
+
+    def _leave(self, job: str) -> None:
+        match self._phase[job]:
+            case Phase.RUNNING:
+                self._running -= 1
+            case Phase.ELSEWHERE:
+                self._elsewhere.discard(job)
+            case Phase.WAITING:
+                self._queue.remove(job)
+            case _:
+                raise ValueError(f"job {job} has ended already")

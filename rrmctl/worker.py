@@ -1,0 +1,284 @@
+"""The child process: takes up one run, trains it and records what happens, until it is done or told to stop.
+
+    python -m rrmctl.worker RESULTS RUN [--fresh] [--pipe FD] [--parent PID] [--asked JSON]
+
+Nothing heavy is imported before the run's lock is held, so that losing the race for a run costs little.
+"""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import json
+import math
+import os
+import shutil
+import socket
+import sys
+import time
+import traceback
+from collections.abc import Sequence
+from enum import IntEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Protocol
+
+from rrmctl.errors import UserError
+from rrmctl.lifeline import Pipe, StopRequest, say
+from rrmctl.runfile import load_config
+from rrmctl.store import atomic, provenance
+from rrmctl.store.layout import Layout, RunFolder
+from rrmctl.store.reader import read_config
+from rrmctl.store.records import ErrorKind, RunError, State, Status, read_status, write_status
+from rrmctl.store.schema import IDENTITY
+from rrmctl.store.writer import CurveWriter
+
+if TYPE_CHECKING:
+    from rrm.training.config import RunConfig
+    from rrm.training.jobs import Monitor
+    from rrm.types import EvalRow
+
+#: How often `status.json` is renewed between evaluations, seconds. Each time costs a flush to disk.
+HEARTBEAT_S = 5.0
+
+
+class WorkerExit(IntEnum):
+    """Exit codes of a worker."""
+
+    DONE = 0
+    CRASHED = 1  #: an exception nobody foresaw; its traceback is in the log
+    REFUSED = 2  #: a mistake in what it was given; trying again would not help
+    STORAGE = 74  #: the results folder took no write
+    STOPPED = 75  #: checkpointed; the next worker goes on
+    LOCKED = 76  #: another process owns the run
+
+
+class Trainer(Protocol):
+    """What the worker needs of `rrm.training.jobs`."""
+
+    def train(self, config: RunConfig, folder: Path, monitor: Monitor) -> bool:
+        """Train until done (True) or until the monitor says to stop (False)."""
+
+    def fingerprint(self, config: RunConfig) -> dict[str, str]:
+        """Which environment this is."""
+
+
+class RunMonitor:
+    """Where a trainer reports to: rows into the curve, progress into the status file and up the pipe."""
+
+    def __init__(self, folder: RunFolder, status: Status, curve: CurveWriter, pipe: Pipe, stop: StopRequest) -> None:
+        self._folder = folder
+        self.status = status  #: as last known, not always as last written
+        self._curve = curve
+        self._pipe = pipe
+        self._stop = stop
+        self._written = time.monotonic()
+
+    def row(self, row: EvalRow) -> None:
+        """Add an evaluation to the curve; it is on disk when this returns."""
+        values = dataclasses.asdict(row)
+        self._curve.add(values)
+        shown = {name: _finite(values[name]) for name in ("success", "true_return", "wall_s")}
+        self._update(rows=len(self._curve), step=row.step, steps_per_s=_finite(row.steps_per_s), **shown)
+        self._write()
+        self._pipe.send(event="row", step=row.step, success=shown["success"], true_return=shown["true_return"])
+
+    def beat(self, step: int, steps_per_s: float) -> None:
+        """Show a sign of life."""
+        self._update(step=step, steps_per_s=_finite(steps_per_s))
+        self._pipe.beat(step, steps_per_s)
+        if time.monotonic() - self._written >= HEARTBEAT_S:
+            self._write()
+
+    def note(self, message: str) -> None:
+        """Tell a person, in the log and at the terminal."""
+        self._pipe.note(message)
+
+    def should_stop(self) -> bool:
+        """True when the run should be checkpointed and left."""
+        return self._stop.requested
+
+    def close(self, state: State) -> None:
+        """Record how the attempt ended."""
+        self._update(state=state)
+        self._write()
+        say(f"--- {state} at step {self.status.step}")
+
+    def _update(self, **changes: Any) -> None:
+        self.status = dataclasses.replace(self.status, **changes, heartbeat=time.time())
+
+    def _write(self) -> None:
+        write_status(self._folder, self.status)
+        self._written = time.monotonic()
+
+
+def main(argv: Sequence[str] | None = None, trainer: Trainer | None = None) -> WorkerExit:
+    """Take up one run; `trainer` stands in for `rrm.training.jobs`."""
+    given = _arguments(argv)
+    folder = Layout(given.results).run(given.run)
+    pipe = Pipe(given.pipe)
+    try:
+        read_config(folder)
+        lock = atomic.try_lock(folder.lock, patience_s=1.0)  # a reader may hold it for an instant
+    except UserError as error:
+        return _report(folder, error, pipe)[0]
+    if lock is None:
+        return WorkerExit.LOCKED
+    try:
+        with StopRequest(given.parent, pipe) as stop:
+            return _attempt(folder, given, pipe, stop, trainer)
+    except Exception as error:
+        code, reason = _report(folder, error, pipe)
+        _record_failure(folder, reason)
+        return code
+    finally:
+        os.close(lock)
+
+
+def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
+    parser = argparse.ArgumentParser(prog="python -m rrmctl.worker", description="Trains one run of a results folder.")
+    parser.add_argument("results", type=Path)
+    parser.add_argument("run")
+    parser.add_argument("--fresh", action="store_true", help="remove what the run holds first")
+    parser.add_argument("--pipe", type=int, help="descriptor that takes progress, one JSON object per line")
+    parser.add_argument("--parent", type=int, help="process whose death means: checkpoint and leave")
+    parser.add_argument("--asked", type=json.loads, default=[], help="the command that asked for the run, as JSON")
+    return parser.parse_args(argv)
+
+
+def _attempt(
+    folder: RunFolder, given: argparse.Namespace, pipe: Pipe, stop: StopRequest, trainer: Trainer | None
+) -> WorkerExit:
+    atomic.remove_leftovers(folder.path)
+    before = _known_status(folder, pipe)
+    if before.state is State.DONE and not given.fresh:
+        return WorkerExit.DONE
+    status = _take_up(folder, before, fresh=given.fresh)
+    say(f"--- attempt {status.attempt}, process {os.getpid()}, {time.strftime('%Y-%m-%d %H:%M:%S')}")
+    pipe.send(event="start", attempt=status.attempt, rows=status.rows)
+    config, stored = load_config(folder), read_config(folder)
+    status = dataclasses.replace(status, steps=config.steps)
+    identity = {"run": folder.id, **{name: stored[name] for name in IDENTITY if name != "run"}}
+    curve = CurveWriter(folder, identity, expected=status.rows)
+    monitor = RunMonitor(folder, status, curve, pipe, stop)
+    if not _finished(folder, curve, config):
+        trainer = trainer or _library(config.threads)
+        facts = provenance.collect(stored, trainer.fingerprint(config), given.asked, status.attempt)
+        for change in provenance.record(folder, facts):
+            pipe.note(f"differs from the attempt before: {change}")
+        if not trainer.train(config, folder.path, monitor):
+            monitor.close(State.INTERRUPTED)
+            return WorkerExit.STOPPED
+    monitor.close(State.DONE)
+    return WorkerExit.DONE
+
+
+def _finished(folder: RunFolder, curve: CurveWriter, config: RunConfig) -> bool:
+    """True for a run whose worker died between its end and saying so: the last row and the networks are there."""
+    if curve.last_step != config.steps or not folder.model.exists():
+        return False
+    if folder.checkpoint.exists():
+        shutil.rmtree(folder.checkpoint)
+    return True
+
+
+def _known_status(folder: RunFolder, pipe: Pipe) -> Status:
+    """The status on disk. A damaged one is set aside: the curve and the checkpoint tell the same, less conveniently."""
+    try:
+        return read_status(folder)
+    except atomic.DamagedError as error:
+        aside = atomic.set_aside(folder.status, "corrupt")
+        pipe.note(f"{error}; set aside as {aside.name}")
+        return Status()
+
+
+def _take_up(folder: RunFolder, before: Status, *, fresh: bool) -> Status:
+    """Record that this process owns the run, and remove what it holds if it starts from nothing.
+
+    The wish is written before anything is removed, so that a worker that dies in between leaves no half of a run.
+    """
+    status = dataclasses.replace(
+        before,
+        state=State.RUNNING,
+        attempt=before.attempt + 1,
+        pid=os.getpid(),
+        host=socket.gethostname(),
+        started=time.time(),
+        heartbeat=time.time(),
+        discard=before.discard or fresh,
+        error=None,
+    )
+    write_status(folder, status)
+    if not status.discard:
+        return status
+    for path in folder.trained():
+        if path.is_dir():
+            shutil.rmtree(path)
+        else:
+            path.unlink(missing_ok=True)
+    status = dataclasses.replace(
+        status, discard=False, step=0, rows=0, success=None, true_return=None, wall_s=None, steps_per_s=None
+    )
+    write_status(folder, status)
+    return status
+
+
+def _library(threads: int) -> Trainer:
+    """The real trainer; torch's threads are set before it computes anything."""
+    import torch
+
+    torch.set_num_threads(threads)
+    from rrm.training import jobs
+
+    return jobs
+
+
+def _report(folder: RunFolder, error: Exception, pipe: Pipe) -> tuple[WorkerExit, RunError]:
+    """Tell the log and the parent why the worker leaves."""
+    code, reason = _reason(folder, error)
+    _log("".join(traceback.format_exception(error)) if code is WorkerExit.CRASHED else f"--- {reason}\n")
+    pipe.error(reason)
+    return code, reason
+
+
+def _record_failure(folder: RunFolder, reason: RunError) -> None:
+    state = State.INTERRUPTED if reason.kind is ErrorKind.STORAGE else State.FAILED
+    try:
+        status = dataclasses.replace(read_status(folder), state=state, error=reason, heartbeat=time.time())
+        write_status(folder, status)
+    except UserError as problem:
+        _log(f"--- the status could not be recorded: {problem}\n")
+
+
+def _reason(folder: RunFolder, error: Exception) -> tuple[WorkerExit, RunError]:
+    from rrm.errors import RrmError
+
+    name = type(error).__name__
+    if isinstance(error, OSError) and error.errno in atomic.STORAGE_ERRNOS:
+        error = atomic.storage_error(Path(error.filename or folder.path), error)
+    if isinstance(error, atomic.StorageError):
+        return WorkerExit.STORAGE, RunError(kind=ErrorKind.STORAGE, type=name, message=_told(error))
+    if isinstance(error, UserError | RrmError):
+        return WorkerExit.REFUSED, RunError(kind=ErrorKind.REFUSED, type=name, message=_told(error))
+    return WorkerExit.CRASHED, RunError(kind=ErrorKind.CRASHED, type=name, message=str(error))
+
+
+def _told(error: Exception) -> str:
+    hint = getattr(error, "hint", None)
+    return f"{error} ({hint})" if hint else str(error)
+
+
+def _log(text: str) -> None:
+    try:
+        sys.stderr.write(text)
+        sys.stderr.flush()
+    except OSError:
+        return  # the log's disk is full as well; the pipe and the exit code still tell
+
+
+def _finite(value: float) -> float | None:
+    """JSON has no NaN: a value that does not exist is null."""
+    return value if math.isfinite(value) else None
+
+
+if __name__ == "__main__":
+    sys.exit(main())
