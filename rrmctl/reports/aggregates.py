@@ -1,0 +1,57 @@
+"""`aggregates/<experiment>.parquet`: the IQM curves of an experiment, one row per variant, series and step.
+
+experiment, variant, profile          strings; profile and overrides are the variant
+task, method, teacher, feedback       strings; "-" where nothing is asked
+step                                  int64, environment steps
+iqm, q25, q75                         float64; success as a fraction, true return as it is (by task)
+low, high                             float64, 95 % interval of the IQM; NaN below three seeds
+n                                     int64, seeds
+iqm_kind                              string, "rliable" or "exact"
+schema_version                        int64, `rrmctl.reports.tables.CURVES_VERSION`
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from rrmctl.reports.tables import CURVE_COLUMNS
+from rrmctl.store.atomic import write_bytes
+
+if TYPE_CHECKING:
+    import pandas as pd
+    import pyarrow as pa
+
+    from rrmctl.store.layout import Layout
+
+_WHOLE = ("step", "n", "schema_version")
+_NUMBERS = ("iqm", "q25", "q75", "low", "high")
+
+
+def schema() -> pa.Schema:
+    """The columns of the file and their types."""
+    import pyarrow as pa
+
+    kinds = dict.fromkeys(CURVE_COLUMNS, "string") | dict.fromkeys(_WHOLE, "int64") | dict.fromkeys(_NUMBERS, "float64")
+    fields = [pa.field(name, kind, nullable=False) for name, kind in kinds.items()]
+    return pa.schema(fields)
+
+
+def write(layout: Layout, curves: pd.DataFrame) -> None:
+    """Replace the files of all experiments in `curves` (columns `CURVE_COLUMNS`), each as a whole.
+
+    Raises:
+        StorageError: the results folder takes no write; the old files are untouched.
+    """
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    for experiment, rows in curves.groupby("experiment", sort=False):
+        buffer = pa.BufferOutputStream()
+        # from_pandas=False: a NaN stays a number and does not become a null.
+        columns = [pa.array(rows[name].to_numpy(), kind, from_pandas=False) for name, kind in _kinds()]
+        pq.write_table(pa.Table.from_arrays(columns, schema=schema()), buffer)
+        write_bytes(layout.aggregate(str(experiment)), buffer.getvalue().to_pybytes())
+
+
+def _kinds() -> list[tuple[str, pa.DataType]]:
+    return [(field.name, field.type) for field in schema()]

@@ -1,0 +1,344 @@
+"""From the store's rows to arrays: one matrix [seed, step] for each task, method, teacher and feedback schedule.
+
+What belongs together is decided here and nowhere else. Variants (profile and overrides) never meet in one section, and
+the runs of one series share their configuration but for the seed. A series is made of its finished runs; where none is
+finished yet, of those under way. Failed runs never count. Whatever was planned and is not in it is listed.
+"""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from rrm.envs.tasks import Score, task
+from rrmctl.errors import UserError
+from rrmctl.manifest import nearest
+from rrmctl.stats import CommonStep, common_step
+from rrmctl.store.layout import Layout
+from rrmctl.store.reader import load, open_results, planned, read_config
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+Floats = npt.NDArray[np.float64]
+Steps = npt.NDArray[np.int64]
+
+#: What stands for teacher and feedback where nothing is asked; such a series belongs to every panel of its task.
+NOTHING_ASKED = "-"
+ORACLE = "oracle"
+
+_COLUMN = {"success": "success", "return": "true_return"}
+_UNDER_WAY = ("running", "interrupted", "queued")
+
+
+class Label(NamedTuple):
+    """What a series is called in its experiment."""
+
+    task: str
+    method: str
+    teacher: str
+    feedback: str
+
+    def __str__(self) -> str:
+        asked = [each for each in (self.teacher, self.feedback) if each != NOTHING_ASKED]
+        return f"{self.task}, {self.method}" + (f" ({', '.join(asked)})" if asked else "")
+
+
+class Absent(NamedTuple):
+    """A planned run that is not in its series."""
+
+    label: Label
+    seed: int
+    run: str
+    state: str
+
+
+@dataclass(frozen=True, eq=False)
+class Series:
+    """The runs one averages over."""
+
+    label: Label
+    score: Score
+    steps: Steps  #: [T], the evaluation steps that all of these runs have
+    values: Floats  #: [S, T], success as a fraction or true return; finite
+    seeds: tuple[int, ...]  #: [S]
+    runs: tuple[str, ...]  #: [S]
+    planned: int  #: runs that were asked for
+    finished: bool  #: False: runs under way, read as far as all of them have come
+
+    @property
+    def n(self) -> int:
+        """Runs in the series; 0 where none has an evaluation to show."""
+        return len(self.seeds)
+
+
+@dataclass(frozen=True, eq=False)
+class Panel:
+    """The series that are compared with one another: one task under one teacher and schedule."""
+
+    task: str
+    teacher: str
+    feedback: str
+    score: Score
+    series: tuple[Series, ...]
+
+    def present(self) -> tuple[Series, ...]:
+        """The series with at least one run."""
+        return tuple(each for each in self.series if each.n)
+
+    def steps(self) -> Steps:
+        """Evaluation steps common to all series present.
+
+        Raises:
+            UserError: there is none, so the methods cannot be compared.
+        """
+        present = self.present()
+        common = present[0].steps
+        for each in present[1:]:
+            common = np.intersect1d(common, each.steps)
+        if common.size == 0:
+            seen = "; ".join(f"{s.label.method} at {s.steps[0]:,} to {s.steps[-1]:,}" for s in present)
+            raise UserError(f"{self.task}: no evaluation step is common to all methods: {seen}")
+        return common
+
+    def read_at(self) -> CommonStep:
+        """The step at which the methods are compared: the paper's rule for success, the last one for returns."""
+        steps = self.steps()
+        if self.score == "return":
+            return CommonStep(index=steps.size - 1, step=int(steps[-1]), reached=False, by=())
+        success = {each.label.method: at_steps(each, steps) for each in self.present()}
+        return common_step(steps, success, oracle=ORACLE)
+
+
+@dataclass(frozen=True, eq=False)
+class Section:
+    """One variant of one experiment: everything that may stand in one table."""
+
+    experiment: str
+    profile: str
+    variant: str
+    overrides: Mapping[str, Any]
+    series: tuple[Series, ...]
+    absent: tuple[Absent, ...]
+    planned: int  #: runs that were asked for
+    evaluation: tuple[str, ...]  #: the protocol behind the scores; several where methods differ
+    problems: tuple[str, ...]  #: what had to be left out of a series, and why
+
+    @property
+    def contained(self) -> int:
+        """Planned runs that are in it."""
+        return len({run for each in self.series for run in each.runs})
+
+    def panels(self) -> tuple[Panel, ...]:
+        """The comparisons, in the order of the plan; those without any run are left out."""
+        found = []
+        for name in dict.fromkeys(each.label.task for each in self.series):
+            here = [each for each in self.series if each.label.task == name]
+            asked = dict.fromkeys(each.label[2:] for each in here if each.label.teacher != NOTHING_ASKED)
+            for teacher, feedback in asked or {(NOTHING_ASKED, NOTHING_ASKED): None}:
+                own = ((teacher, feedback), (NOTHING_ASKED, NOTHING_ASKED))
+                members = tuple(each for each in here if each.label[2:] in own)
+                if any(each.n for each in members):
+                    found.append(Panel(name, teacher, feedback, members[0].score, members))
+        return tuple(found)
+
+
+def at_steps(series: Series, steps: Steps) -> Floats:
+    """The series' values at these of its steps, [S, len(steps)]."""
+    return series.values[:, np.searchsorted(series.steps, steps)]
+
+
+def read_sections(results: str | Path, experiment: str | None = None) -> tuple[Section, ...]:
+    """The sections of one experiment, or of all in the store, from the files below `results`.
+
+    Raises:
+        UserError: no such results folder or experiment there, a damaged file, or runs that do not belong together.
+    """
+    layout = open_results(results)
+    known = layout.experiments()
+    if not known:
+        raise UserError(f"{layout.root} holds no experiment yet", "start one, e.g. `rrmctl run quickstart`")
+    if experiment is not None and experiment not in known:
+        raise UserError(
+            f'{layout.root} holds no runs of "{experiment}"{nearest(experiment, known)}',
+            f"it holds: {', '.join(known)}; `rrmctl run {experiment}` starts it",
+        )
+    rows, jobs = load(results, experiment), planned(results, experiment)
+    jobs = jobs[jobs["experiment"] != ""]
+    return sections(rows[rows["experiment"] != ""], jobs, evaluation=_evaluation(layout, rows))
+
+
+def of_profile(found: Sequence[Section], profile: str | None) -> tuple[Section, ...]:
+    """The sections of this profile that have a run to show; of all profiles for None.
+
+    Raises:
+        UserError: there is none; the message says what is there instead.
+    """
+    present = sorted({each.profile for each in found})
+    if profile is not None and profile not in present:
+        raise UserError(
+            f'no runs of profile "{profile}"{nearest(profile, present)}', f"there are runs of: {', '.join(present)}"
+        )
+    chosen = [each for each in found if profile in (None, each.profile)]
+    if not any(each.contained for each in chosen):
+        names = ", ".join(dict.fromkeys(each.experiment for each in chosen))
+        states = Counter(absent.state for each in chosen for absent in each.absent)
+        told = ", ".join(f"{count} {state}" for state, count in states.items())
+        raise UserError(
+            f"{names}: no run can be reported yet; of the planned ones {told}",
+            "`rrmctl status` says where they stand; `rrmctl run NAME` goes on",
+        )
+    return tuple(chosen)
+
+
+def _evaluation(layout: Layout, rows: pd.DataFrame) -> dict[str, dict[str, Any] | None]:
+    """The evaluation settings of each cell, read from one of its runs."""
+    one = rows.drop_duplicates("cell")
+    return {
+        cell: read_config(layout.run(run)).get("evaluation") for cell, run in zip(one["cell"], one["run"], strict=True)
+    }
+
+
+def sections(
+    rows: pd.DataFrame,
+    jobs: pd.DataFrame | None = None,
+    *,
+    evaluation: Mapping[str, Mapping[str, Any] | None] | None = None,
+) -> tuple[Section, ...]:
+    """Split the store's rows into sections that may each be reported as a whole.
+
+    Args:
+        rows: as `rrmctl.store.load` returns them.
+        jobs: as `rrmctl.store.planned` returns them; without it the runs in `rows` are taken for the whole plan.
+        evaluation: for each cell its evaluation settings (`success`, `deterministic`), where known.
+
+    Raises:
+        UserError: one series holds runs of several configurations, or an unknown task.
+    """
+    if jobs is None:
+        jobs = rows.drop_duplicates(["experiment", "variant", *Label._fields, "run"]).assign(overrides="{}")
+    found = []
+    for key in dict.fromkeys(zip(jobs["experiment"], jobs["variant"], strict=True)):
+        found.append(_section(_of_variant(rows, key), _of_variant(jobs, key), evaluation or {}))
+    return tuple(found)
+
+
+def _of_variant(table: pd.DataFrame, key: tuple[str, str]) -> pd.DataFrame:
+    experiment, variant = key
+    return table[(table["experiment"] == experiment) & (table["variant"] == variant)]
+
+
+def _section(rows: pd.DataFrame, jobs: pd.DataFrame, evaluation: Mapping[str, Mapping[str, Any] | None]) -> Section:
+    problems: list[str] = []
+    series, absent = [], []
+    for label in _ordered(Label(*row) for row in jobs[list(Label._fields)].itertuples(index=False)):
+        asked = _labelled(jobs, label)
+        each = _series(label, _labelled(rows, label), len(asked), problems)
+        series.append(each)
+        absent += [
+            Absent(label, int(seed), run, state)
+            for seed, run, state in zip(asked["seed"], asked["run"], asked["state"], strict=True)
+            if run not in each.runs
+        ]
+    used = rows[rows["run"].isin([run for each in series for run in each.runs])]
+    protocols = [_protocol(episodes, evaluation.get(cell)) for cell, episodes in _distinct(used, "cell", "episodes")]
+    first = jobs.iloc[0]
+    return Section(
+        experiment=str(first["experiment"]),
+        profile=str(first["profile"]),
+        variant=str(first["variant"]),
+        overrides=json.loads(first["overrides"]),
+        series=tuple(series),
+        absent=tuple(absent),
+        planned=int(jobs["run"].nunique()),
+        evaluation=tuple(dict.fromkeys(protocols)),
+        problems=tuple(problems),
+    )
+
+
+def _ordered(labels: Iterable[Label]) -> list[Label]:
+    """Distinct labels, tasks and then methods in the order in which they first appear."""
+    distinct = list(dict.fromkeys(labels))
+    tasks = list(dict.fromkeys(label.task for label in distinct))
+    methods = list(dict.fromkeys(label.method for label in distinct))
+    return sorted(distinct, key=lambda label: (tasks.index(label.task), methods.index(label.method)))
+
+
+def _labelled(table: pd.DataFrame, label: Label) -> pd.DataFrame:
+    mask = np.ones(len(table), dtype=bool)
+    for column, value in label._asdict().items():
+        mask &= (table[column] == value).to_numpy()
+    return table[mask]
+
+
+def _distinct(table: pd.DataFrame, *columns: str) -> list[tuple[Any, ...]]:
+    return list(dict.fromkeys(table[list(columns)].itertuples(index=False, name=None)))
+
+
+def _protocol(episodes: int, settings: Mapping[str, Any] | None) -> str:
+    """One evaluation in words."""
+    told = f"{episodes} episode{'s' if episodes != 1 else ''} an evaluation"
+    if settings is None:
+        return told
+    success = {"any": "success at any step of an episode", "last": "success at the last step of an episode"}
+    policy = "deterministic policy" if settings["deterministic"] else "sampled actions"
+    return f"{told}, {success[settings['success']]}, {policy}"
+
+
+def _series(label: Label, rows: pd.DataFrame, asked: int, problems: list[str]) -> Series:
+    """The series of one label; adds to `problems` what had to be left out of it."""
+    score = task(label.task).score
+    done = rows[rows["state"] == "done"]
+    used = done if len(done) else rows[rows["state"].isin(_UNDER_WAY)]
+    _one_cell(label, used)
+    who = _distinct(used.sort_values("seed"), "seed", "run")
+    matrix = used.pivot(index="seed", columns="step", values=_COLUMN[score]).sort_index()
+    evaluations = used.groupby("step")["seed"].nunique()
+    matrix = matrix[sorted(evaluations.index[evaluations == len(who)])]
+    values = matrix.to_numpy(dtype=np.float64)
+    finite = np.isfinite(values).all(axis=0)
+    steps = matrix.columns.to_numpy(dtype=np.int64)
+    if not finite.all():
+        where = int(np.flatnonzero(~finite)[0])
+        bad = ", ".join(run for (_, run), value in zip(who, values[:, where], strict=True) if not np.isfinite(value))
+        problems.append(
+            f"{label}: {_COLUMN[score]} is not a number at {int((~finite).sum())} of {steps.size} evaluation steps "
+            f"(first at {steps[where]:,}, run {bad}); these steps are left out"
+        )
+    steps, values = steps[finite], values[:, finite]
+    who = who if steps.size else []
+    return Series(
+        label=label,
+        score=score,
+        steps=steps,
+        values=values,
+        seeds=tuple(int(seed) for seed, _ in who),
+        runs=tuple(str(run) for _, run in who),
+        planned=asked,
+        finished=len(done) > 0,
+    )
+
+
+def _one_cell(label: Label, rows: pd.DataFrame) -> None:
+    """Refuse runs that differ in more than their seed.
+
+    Raises:
+        UserError: naming each configuration and its seeds.
+    """
+    cells: dict[str, list[int]] = {}
+    for cell, seed in _distinct(rows.sort_values("seed"), "cell", "seed"):
+        cells.setdefault(cell, []).append(int(seed))
+    if len(cells) > 1:
+        which = "; ".join(f"{cell} (seeds {', '.join(map(str, seeds))})" for cell, seeds in cells.items())
+        raise UserError(
+            f"{label}: its runs were made with {len(cells)} different configurations and cannot be averaged: {which}",
+            "a manifest or a default changed between two `rrmctl run`s; `rrmctl show RUN` tells the difference. "
+            "Run the experiment into a fresh --results folder",
+        )

@@ -1,0 +1,186 @@
+"""The IQM table and the IQM curves of a section, as DataFrames.
+
+Values are raw here: success as a fraction, returns as they are. `rrmctl.reports.words` adds what must stand beside
+them and `rrmctl.reports.render` writes both for people.
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from rrmctl.reports.select import Floats, Panel, Section, Series, Steps, at_steps
+from rrmctl.stats import (
+    REPLICATES,
+    Estimate,
+    IqmKind,
+    area_under_curve,
+    bootstrap,
+    estimate,
+    interval_possible,
+    iqm,
+    quartiles,
+    resample,
+)
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+#: Of the curves' parquet file; raised by one when a column is added, removed, or changes its meaning.
+CURVES_VERSION = 1
+#: Every interval is drawn from a generator of its own with this seed, so that a table depends on its runs alone.
+BOOTSTRAP_SEED = 0
+LEVEL = 0.95
+
+COLUMNS = (
+    "task", "teacher", "feedback", "method", "score", "step", "step_rule", "iqm", "low", "high", "q25", "q75", "n",
+    "planned", "auc", "auc_low", "auc_high",
+)  # fmt: skip
+CURVE_COLUMNS = (
+    "experiment", "variant", "profile", "task", "method", "teacher", "feedback", "step", "iqm", "q25", "q75", "low",
+    "high", "n", "iqm_kind", "schema_version",
+)  # fmt: skip
+
+ALL_TASKS = "all success tasks"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Settings:
+    """How the statistics of a report are made."""
+
+    kind: IqmKind = "rliable"
+    replicates: int = REPLICATES
+
+
+DEFAULTS = Settings()
+
+
+@dataclass(frozen=True, eq=False)
+class Curve:
+    """A series' statistics at each of its steps."""
+
+    series: Series
+    iqm: Estimate  #: arrays [T]
+    q25: Floats  #: [T]
+    q75: Floats  #: [T]
+    draws: Floats | None  #: replicates of the IQM, [R, T]; None with too few runs for an interval
+
+    def area(self, steps: Steps) -> Estimate:
+        """Area under the IQM curve over these of its steps, as a mean height."""
+        where = np.searchsorted(self.series.steps, steps)
+        draws = None if self.draws is None else area_under_curve(steps, self.draws[:, where])
+        return estimate(area_under_curve(steps, self.iqm.estimate[where]), draws, n=self.series.n, level=LEVEL)
+
+
+def curves(section: Section, settings: Settings = DEFAULTS) -> dict[Series, Curve]:
+    """The curve of every series that has a run."""
+    return {each: _curve(each, settings) for each in section.series if each.n}
+
+
+def _curve(series: Series, settings: Settings) -> Curve:
+    statistic = partial(iqm, kind=settings.kind, axis=-1)
+    draws = None
+    if interval_possible([series.n]):
+        rng = np.random.default_rng(BOOTSTRAP_SEED)
+        draws = resample([series.values], statistic, rng=rng, replicates=settings.replicates)
+    q25, q75 = quartiles(series.values, axis=0)
+    point = iqm(series.values, settings.kind, axis=0)
+    return Curve(series, estimate(point, draws, n=series.n, level=LEVEL), q25, q75, draws)
+
+
+def curve_table(section: Section, settings: Settings = DEFAULTS) -> pd.DataFrame:
+    """The IQM curves of a section, one row per series and step: columns `CURVE_COLUMNS`."""
+    return curve_rows(section, curves(section, settings), settings)
+
+
+def curve_rows(section: Section, made: dict[Series, Curve], settings: Settings) -> pd.DataFrame:
+    """`curve_table` of curves that are made already."""
+    import pandas as pd
+
+    rows = [
+        (section.experiment, section.variant, section.profile, *series.label, int(step), *map(float, numbers), series.n)
+        for series, curve in made.items()
+        for step, *numbers in zip(
+            series.steps, curve.iqm.estimate, curve.q25, curve.q75, curve.iqm.low, curve.iqm.high, strict=True
+        )
+    ]
+    table = pd.DataFrame(rows, columns=list(CURVE_COLUMNS[:-2]))
+    return table.assign(iqm_kind=settings.kind, schema_version=CURVES_VERSION)
+
+
+def iqm_table(section: Section, settings: Settings = DEFAULTS) -> pd.DataFrame:
+    """Per task and method the IQM at the task's common step, with its interval: columns `COLUMNS`."""
+    return iqm_rows(section, curves(section, settings), settings)
+
+
+def iqm_rows(section: Section, made: dict[Series, Curve], settings: Settings) -> pd.DataFrame:
+    """`iqm_table` of curves that are made already."""
+    import pandas as pd
+
+    panels = section.panels()
+    rows = [row for panel in panels for row in _panel_rows(panel, made)]
+    rows += [row for group in _across_tasks(panels) for row in _group_rows(group, settings)]
+    table = pd.DataFrame(rows, columns=list(COLUMNS))
+    return table.astype({"step": "Int64", "n": "int64", "planned": "int64"})
+
+
+def _panel_rows(panel: Panel, made: dict[Series, Curve]) -> Iterator[dict[str, Any]]:
+    read, steps = panel.read_at(), panel.steps()
+    rule = "final" if panel.score == "return" else "first" if read.reached else "last"
+    for series in panel.series:
+        row: dict[str, Any] = {
+            "task": panel.task, "teacher": panel.teacher, "feedback": panel.feedback, "method": series.label.method,
+            "score": panel.score, "step": read.step, "step_rule": rule, "n": series.n, "planned": series.planned,
+        }  # fmt: skip
+        if series in made:
+            curve = made[series]
+            at, area = int(np.searchsorted(series.steps, read.step)), curve.area(steps)
+            row |= {"iqm": curve.iqm.estimate[at], "low": curve.iqm.low[at], "high": curve.iqm.high[at]}
+            row |= {"q25": curve.q25[at], "q75": curve.q75[at]}
+            row |= {"auc": area.estimate, "auc_low": area.low, "auc_high": area.high}
+        yield {key: float(value) if isinstance(value, np.ndarray) else value for key, value in row.items()}
+
+
+def _across_tasks(panels: Sequence[Panel]) -> list[list[Panel]]:
+    """Panels of different success tasks that may be pooled: as many tasks in each group as there are, or no group."""
+    success = [panel for panel in panels if panel.score == "success"]
+    tasks = {panel.task for panel in success}
+    if len(tasks) < 2:
+        return []
+    if len(success) == len(tasks):
+        return [success]  # one teacher and schedule for each task, though a schedule may be the task's own
+    groups: dict[tuple[str, str], list[Panel]] = defaultdict(list)
+    for panel in success:
+        groups[panel.teacher, panel.feedback].append(panel)
+    return [group for group in groups.values() if len(group) == len(tasks)]
+
+
+def _group_rows(group: Sequence[Panel], settings: Settings) -> Iterator[dict[str, Any]]:
+    """A row for every method that has runs on all tasks of the group, each task read at its own common step."""
+    statistic = partial(iqm, kind=settings.kind, axis=-1)
+    by_task = [{series.label.method: series for series in panel.present()} for panel in group]
+    teachers, schedules = {panel.teacher for panel in group}, {panel.feedback for panel in group}
+    for method in (name for name in by_task[0] if all(name in found for found in by_task)):
+        series = [found[method] for found in by_task]
+        scores = [
+            at_steps(each, np.array([panel.read_at().step]))[:, 0] for each, panel in zip(series, group, strict=True)
+        ]
+        rng = np.random.default_rng(BOOTSTRAP_SEED)
+        found = bootstrap(scores, statistic, rng=rng, replicates=settings.replicates, level=LEVEL)
+        q25, q75 = quartiles(np.concatenate(scores))
+        yield {
+            "task": ALL_TASKS, "teacher": _only(teachers, "several"), "method": method,
+            "feedback": _only(schedules, "each task's"), "score": "success",
+            "step": None, "step_rule": "each task's", "iqm": float(found.estimate), "low": float(found.low),
+            "high": float(found.high), "q25": float(q25), "q75": float(q75), "n": found.n,
+            "planned": sum(each.planned for each in series),
+        }  # fmt: skip
+
+
+def _only(names: set[str], otherwise: str) -> str:
+    return next(iter(names)) if len(names) == 1 else otherwise
