@@ -1,0 +1,176 @@
+"""What a person sees of a sweep under way: a bar per running job at a terminal, plain lines anywhere else."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+from rrmctl.cli.request import duration
+from rrmctl.pool import Assignment
+from rrmctl.scheduler import Ending, Outcome, Phase
+from rrmctl.store.layout import Layout
+from rrmctl.store.reader import log_tail
+from rrmctl.store.records import ErrorKind, RunError
+
+if TYPE_CHECKING:
+    from rich.console import Console
+    from rich.progress import Progress, TaskID
+
+#: Least time between two lines about the evaluations of one job, seconds.
+_EVERY_S = 10.0
+
+
+class Lines:
+    """Says every event worth keeping as one line on the console: started, evaluated, failed, done.
+
+    Args:
+        console: where to; usually standard error.
+        layout: where the logs are.
+        assignments: the jobs of this command.
+    """
+
+    def __init__(self, console: Console, layout: Layout, assignments: Sequence[Assignment]) -> None:
+        self.console = console
+        self.over = 0  #: jobs done or failed
+        self.total = len(assignments)
+        self._layout = layout
+        self._jobs = {assignment.id: assignment for assignment in assignments}
+        self._said: dict[str, float] = {}
+
+    def started(self, job: str, attempt: int) -> None:
+        again = f", attempt {attempt}" if attempt > 1 else ""
+        self.say(job, f"started{again}")
+
+    def beat(self, job: str, step: int, steps_per_s: float | None) -> None:
+        """Nothing: lines are for what lasts."""
+
+    def row(self, job: str, step: int, success: float | None, true_return: float | None) -> None:
+        if time.monotonic() - self._said.get(job, -_EVERY_S) >= _EVERY_S:
+            self._said[job] = time.monotonic()
+            self.say(job, f"step {step:,} of {self._jobs[job].steps:,}, {score(success, true_return)}")
+
+    def note(self, job: str, text: str) -> None:
+        self.say(job, text, style="yellow")
+
+    def ended(self, job: str, outcome: Outcome, phase: Phase) -> None:
+        if phase in (Phase.DONE, Phase.FAILED):
+            self.over += 1
+        match outcome.ending:
+            case Ending.DONE:
+                self.say(job, f"done ({self.over} of {self.total})", style="green")
+            case Ending.STOPPED:
+                self.say(job, "stopped; it goes on from its checkpoint", style="yellow")
+            case Ending.ELSEWHERE:
+                self.say(job, "is run by another process", style="dim")
+            case Ending.FAILED:
+                assert outcome.error is not None  # a failure says why
+                self._failed(job, outcome.error, phase)
+
+    def stopping(self, workers: int, wait_s: float) -> None:
+        self.console.print(
+            f"stopping: {workers} workers write a checkpoint and leave (at most {wait_s:.0f} s); "
+            "Ctrl-C again ends them at once",
+            style="yellow",
+        )
+
+    def tick(self) -> None:
+        """Nothing moves."""
+
+    def say(self, job: str, text: str, style: str | None = None) -> None:
+        """One line about a job."""
+        from rich.text import Text
+
+        line = Text.assemble((time.strftime("%H:%M:%S "), "dim"), (self._jobs[job].label, "bold"), ": ")
+        self.console.print(line.append(text, style), soft_wrap=True)
+
+    def _failed(self, job: str, error: RunError, phase: Phase) -> None:
+        after = {Phase.WAITING: "will be tried again", Phase.FAILED: "failed"}.get(phase, "stopped")
+        self.say(job, f"{after}: {error}", style="red")
+        folder = self._layout.run(job)
+        if error.kind in (ErrorKind.REFUSED, ErrorKind.STORAGE):
+            return  # the message says it all
+        for line in log_tail(folder):
+            self.console.print(f"    {line}", style="dim", markup=False, highlight=False, soft_wrap=True)
+        self.console.print(f"    log: {folder.log}", style="dim", markup=False, highlight=False, soft_wrap=True)
+
+
+class Bars(Lines):
+    """Lines, and below them a bar for each running job and one for all."""
+
+    def __init__(self, console: Console, layout: Layout, assignments: Sequence[Assignment]) -> None:
+        super().__init__(console, layout, assignments)
+        self.progress = _progress(console)
+        self._bars: dict[str, TaskID] = {}
+        self._all = self.progress.add_task("all", total=self.total, rate="", score="", left="")
+        self._began = time.monotonic()
+        self._steps_done = 0  # of finished jobs
+        self._rates: dict[str, float] = {}
+        self._at: dict[str, int] = {}
+
+    def started(self, job: str, attempt: int) -> None:
+        if attempt > 1:
+            super().started(job, attempt)
+        assignment = self._jobs[job]
+        self._bars[job] = self.progress.add_task(assignment.label, total=assignment.steps, rate="", score="", left="")
+
+    def beat(self, job: str, step: int, steps_per_s: float | None) -> None:
+        self._at[job] = step
+        if steps_per_s:
+            # Smoothed over a few seconds: single beats jump with every feedback session.
+            self._rates[job] = 0.9 * self._rates.get(job, steps_per_s) + 0.1 * steps_per_s
+        rate = self._rates.get(job, 0.0)
+        left = duration((self._jobs[job].steps - step) / rate / 3600) if rate else ""
+        self._update(job, completed=step, rate=f"{rate:,.0f} steps/s" if rate else "", left=left)
+
+    def row(self, job: str, step: int, success: float | None, true_return: float | None) -> None:
+        self._at[job] = step
+        self._update(job, completed=step, score=score(success, true_return))
+
+    def ended(self, job: str, outcome: Outcome, phase: Phase) -> None:
+        super().ended(job, outcome, phase)
+        if job in self._bars:
+            self.progress.remove_task(self._bars.pop(job))
+        self._rates.pop(job, None)
+        self._at.pop(job, None)
+        if phase in (Phase.DONE, Phase.FAILED):
+            self._steps_done += self._jobs[job].steps
+
+    def tick(self) -> None:
+        self.progress.update(self._all, completed=self.over, left=self._left())
+        self.progress.refresh()
+
+    def _left(self) -> str:
+        """Time until all is done, at the speed of the jobs that run now."""
+        speed = sum(self._rates.values())
+        if not speed:
+            return ""
+        steps = sum(job.steps for job in self._jobs.values()) - self._steps_done - sum(self._at.values())
+        return duration(steps / speed / 3600)
+
+    def _update(self, job: str, **fields: object) -> None:
+        if job in self._bars:
+            self.progress.update(self._bars[job], **fields)  # type: ignore[arg-type]
+
+
+def score(success: float | None, true_return: float | None) -> str:
+    """The last evaluation in words: the share of successes, or the return of tasks without that notion."""
+    if success is not None:
+        return f"success {success:.0%}"
+    return "" if true_return is None else f"return {true_return:,.1f}"
+
+
+def _progress(console: Console) -> Progress:
+    from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn
+
+    return Progress(
+        TextColumn("{task.description}", markup=False),
+        BarColumn(),
+        TaskProgressColumn(),
+        TextColumn("{task.fields[rate]}", justify="right"),
+        TextColumn("{task.fields[score]}"),
+        TextColumn("{task.fields[left]}", justify="right"),
+        console=console,
+        auto_refresh=False,  # the pool's ticks refresh it: no second thread beside the one that starts processes
+        transient=True,
+    )

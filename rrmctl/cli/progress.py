@@ -1,0 +1,124 @@
+"""How far groups of runs are, and how long the rest takes at the speed seen so far. Pure."""
+
+from __future__ import annotations
+
+import statistics
+from collections import Counter, defaultdict
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+from rrmctl.cli.request import duration
+
+if TYPE_CHECKING:
+    from rrmctl.store.records import JobRecord, Status, SweepRecord
+
+#: States in the order in which they are shown.
+STATES = ("done", "running", "interrupted", "queued", "failed", "unreadable")
+
+#: Speeds in environment steps per second, by task and method.
+Rates = Mapping[tuple[str, str], float]
+
+
+@dataclass(frozen=True)
+class Group:
+    """Runs that are shown on one line.
+
+    Args:
+        name: what they have in common.
+        jobs: each once.
+        states: of every job, by id.
+        rates: speeds to reckon with; those of the group's own runs by default.
+        heading: what kind of thing `name` is.
+    """
+
+    name: str
+    jobs: Sequence[JobRecord]
+    states: Mapping[str, Status]
+    rates: Rates | None = None
+    heading: str = ""
+
+    @cached_property
+    def counts(self) -> Counter[str]:
+        """Runs by state."""
+        return Counter(str(self.states[job.id].state) for job in self.jobs)
+
+    @property
+    def open(self) -> int:
+        """Runs that are neither done nor failed."""
+        return len(self.jobs) - self.counts["done"] - self.counts["failed"]
+
+    @cached_property
+    def seconds_left(self) -> float | None:
+        """Seconds of one core that the open runs still take; None where nothing like one of them has run yet."""
+        rates = speeds(self.jobs, self.states) if self.rates is None else self.rates
+        total = 0.0
+        for job in self.jobs:
+            status = self.states[job.id]
+            if status.state in ("done", "failed"):
+                continue
+            rate = rates.get((job.task, job.method))
+            if rate is None:
+                return None
+            total += (job.steps - status.step) / rate
+        return total
+
+    def left_in_words(self) -> str:
+        """What is left, beginning with a comma: time while something runs, else core time; empty where unknown."""
+        if not self.open or self.seconds_left is None:
+            return ""
+        running = self.counts["running"]
+        hours = self.seconds_left / 3600
+        return f", about {duration(hours / running)} left" if running else f", {duration(hours)} of one core left"
+
+    def as_json(self) -> dict[str, Any]:
+        """For programs."""
+        counts = {state: self.counts[state] for state in STATES}
+        return {"name": self.name, "runs": len(self.jobs), **counts, "core_seconds_left": self.seconds_left}
+
+
+def group_by_sweep(sweeps: Iterable[SweepRecord], states: Mapping[str, Status]) -> list[Group]:
+    """One group for each variant of each experiment."""
+    return [
+        Group(f"{sweep.experiment} ({sweep.variant})", _once(sweep.jobs), states, heading="experiment")
+        for sweep in sweeps
+    ]
+
+
+def group_by_row(sweeps: Iterable[SweepRecord], states: Mapping[str, Status]) -> list[Group]:
+    """One group for each row of the grid of each variant: all seeds of it."""
+    groups = []
+    for sweep in sweeps:
+        rates = speeds(sweep.jobs, states)
+        rows: defaultdict[tuple[str, ...], list[JobRecord]] = defaultdict(list)
+        for job in sweep.jobs:
+            words = (job.task, job.method, job.teacher, job.feedback)
+            rows[sweep.variant, *(word for word in words if word not in ("", "-"))].append(job)
+        groups += [Group("  ".join(names), jobs, states, rates, "row") for names, jobs in rows.items()]
+    return groups
+
+
+def speeds(jobs: Iterable[JobRecord], states: Mapping[str, Status]) -> dict[tuple[str, str], float]:
+    """The median speed of what has run so far, by task and method; evaluation is counted in where a row says so."""
+    seen: defaultdict[tuple[str, str], list[float]] = defaultdict(list)
+    for job in jobs:
+        status = states[job.id]
+        speed = status.step / status.wall_s if status.state == "done" and status.wall_s else status.steps_per_s
+        if speed:
+            seen[job.task, job.method].append(speed)
+    return {key: statistics.median(values) for key, values in seen.items()}
+
+
+def errors(jobs: Iterable[JobRecord], states: Mapping[str, Status]) -> dict[str, list[JobRecord]]:
+    """Failed and unreadable runs by what went wrong, the most frequent first."""
+    found: defaultdict[str, list[JobRecord]] = defaultdict(list)
+    for job in jobs:
+        status = states[job.id]
+        if status.state in ("failed", "unreadable"):
+            found[str(status.error or "no reason was recorded")].append(job)
+    return dict(sorted(found.items(), key=lambda item: -len(item[1])))
+
+
+def _once(jobs: Iterable[JobRecord]) -> list[JobRecord]:
+    return list({job.id: job for job in jobs}.values())

@@ -1,0 +1,242 @@
+"""Commands that run: `run` and `resume`."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterable, Mapping, Sequence
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from rrmctl.cli.options import (
+    DEFAULT_EXPERIMENTS,
+    DEFAULT_RESULTS,
+    ExperimentArgument,
+    ExperimentsOption,
+    MethodsOption,
+    PriorOption,
+    ProfileOption,
+    ResultsOption,
+    SeedsOption,
+    SetOption,
+    TasksOption,
+)
+from rrmctl.cli.request import Request, forecast, in_words, smaller
+from rrmctl.cli.state import show, status
+from rrmctl.errors import Exit, UserError
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from rrmctl.cli.request import Forecast
+    from rrmctl.plan import Job, Plan
+    from rrmctl.pool import Assignment
+    from rrmctl.store.layout import Layout
+    from rrmctl.store.records import JobRecord, Status
+
+__all__ = ["resume", "run", "show", "status"]
+
+#: Work above which a person at a terminal is asked first, core-hours.
+_LARGE_H = 1.0
+
+WorkersOption = Annotated[
+    int | None,
+    typer.Option("--workers", "-j", min=1, help="Jobs at a time, one core each. Default: every core there is."),
+]
+RetryOption = Annotated[bool, typer.Option("--retry-failed", help="Try failed runs again, from their checkpoint.")]
+
+
+def run(
+    name: ExperimentArgument,
+    seeds: SeedsOption = None,
+    tasks: TasksOption = None,
+    methods: MethodsOption = None,
+    profile: ProfileOption = None,
+    overrides: SetOption = None,
+    prior: PriorOption = None,
+    workers: WorkersOption = None,
+    results: ResultsOption = DEFAULT_RESULTS,
+    experiments: ExperimentsOption = DEFAULT_EXPERIMENTS,
+    retry_failed: RetryOption = False,
+    force: Annotated[
+        bool, typer.Option("--force", help="Train the named runs again from nothing; what they hold is removed.")
+    ] = False,
+    yes: Annotated[bool, typer.Option("--yes", "-y", help="Do not ask before a large sweep.")] = False,
+) -> None:
+    """Run an experiment, or go on with it: runs that are done are skipped, interrupted ones continue.
+
+    Ctrl-C once lets every job write a checkpoint and leave; twice ends them at once. Any number of `run`s may share a
+    results folder: they divide the jobs between them.
+
+    Examples:
+
+      rrmctl run quickstart
+
+      rrmctl run main-results --seeds 10 --profile laptop
+
+      rrmctl run main-results --tasks button-press --methods pebble,rrm-proxy --seeds 0,3,7 --workers 2
+
+      rrmctl run toy-car --set agent.batch=256 --prior my_priors.py:closer
+    """
+    from rrmctl.machine import usable_cores
+    from rrmctl.store.layout import Layout
+
+    console = _progress_console()
+    request = Request(name, experiments, profile, seeds, tasks, methods, overrides, prior)
+    plan, layout = request.plan(), Layout(results)
+    slots = workers or usable_cores()
+    expected = forecast(plan, layout)
+    _introduce(console, request, expected, slots)
+    chosen = [job for job in plan.jobs if force or _is_open(expected.states[job.id], retry_failed=retry_failed)]
+    if chosen and expected.hours_left > _LARGE_H and not yes and _asks() and not typer.confirm("Start?", err=True):
+        raise typer.Exit(Exit.INCOMPLETE)
+    _record(layout, plan)
+    assigned = [
+        _assignment(_job_record(job), expected.states[job.id], job.config.threads, fresh=force) for job in chosen
+    ]
+    code = _run(console, layout, assigned, slots)
+    _finish(layout, code, _left_out(expected.states, assigned), [plan.experiment])
+
+
+def resume(
+    name: Annotated[
+        str | None, typer.Argument(metavar="[NAME]", help="Only this experiment. Default: all in the results folder.")
+    ] = None,
+    workers: WorkersOption = None,
+    results: ResultsOption = DEFAULT_RESULTS,
+    retry_failed: RetryOption = False,
+) -> None:
+    """Go on with every sweep that was begun in the results folder and is not complete.
+
+    The configurations recorded then are run, whatever the manifests say today.
+    """
+    from rrmctl.machine import usable_cores
+    from rrmctl.store.reader import find_sweeps, open_results, statuses
+    from rrmctl.store.records import read_sweeps
+
+    console = _progress_console()
+    layout = open_results(results)
+    sweeps = read_sweeps(layout) if name is None else find_sweeps(layout, name)
+    if not sweeps:
+        raise UserError(f"{results} holds no sweep", "begin one with `rrmctl run NAME`; `rrmctl list` shows the names")
+    jobs = {job.id: job for sweep in sweeps for job in sweep.jobs}
+    states = statuses(layout, jobs.values())
+    chosen = [job for job in jobs.values() if _is_open(states[job.id], retry_failed=retry_failed)]
+    for sweep in sweeps:
+        count = sum(_is_open(states[job.id], retry_failed=retry_failed) for job in sweep.jobs)
+        console.print(f"{sweep.experiment} ({sweep.variant}): {count} of {len(sweep.jobs)} runs to go")
+    assigned = [_assignment(job, states[job.id], _threads(layout, job), fresh=False) for job in chosen]
+    code = _run(console, layout, assigned, workers or usable_cores())
+    _finish(layout, code, _left_out(states, assigned), dict.fromkeys(sweep.experiment for sweep in sweeps))
+
+
+def _introduce(console: Console, request: Request, expected: Forecast, slots: int) -> None:
+    plan = expected.plan
+    done, failed = expected.count("done"), expected.count("failed")
+    there = f", {done} done already" if done else ""
+    there += f", {failed} failed" if failed else ""
+    console.print(f"{plan.experiment} ({plan.variant}): {len(plan.jobs)} runs{there}.", style="bold")
+    console.print(in_words(expected, slots))
+    if expected.hours_left > _LARGE_H:
+        for line in smaller(request, plan):
+            console.print(f"  smaller: {line}")
+
+
+def _is_open(status: Status, *, retry_failed: bool) -> bool:
+    """True for a run that is to be worked on. One that is running elsewhere is: it may be given up there."""
+    return status.state != "done" and (status.state != "failed" or retry_failed)
+
+
+def _record(layout: Layout, plan: Plan) -> None:
+    """Write down what was asked for: first every run's configuration, then the sweep that names them."""
+    from rrmctl.runfile import config_content
+    from rrmctl.store.records import SweepRecord, record_config, record_sweep
+
+    for job in plan.jobs:
+        record_config(layout.run(job.id), config_content(job.config))
+    jobs = tuple(map(_job_record, plan.jobs))
+    record_sweep(
+        layout,
+        SweepRecord(
+            experiment=plan.experiment, variant=plan.variant, profile=plan.profile, overrides=plan.overrides, jobs=jobs
+        ),
+    )
+
+
+def _job_record(job: Job) -> JobRecord:
+    from rrmctl.store.records import JobRecord
+
+    return JobRecord(
+        id=job.id, cell=job.config.cell, task=job.task, method=job.method, teacher=job.teacher, feedback=job.feedback,
+        seed=job.seed, steps=job.config.steps,
+    )  # fmt: skip
+
+
+def _assignment(job: JobRecord, status: Status, threads: int, *, fresh: bool) -> Assignment:
+    from rrmctl.pool import Assignment
+
+    return Assignment(
+        id=job.id, label=job.label, steps=job.steps, threads=threads, attempt=status.attempt, fresh=fresh
+    )  # fmt: skip
+
+
+def _left_out(states: Mapping[str, Status], assigned: Iterable[Assignment]) -> list[Status]:
+    """Where the runs stand that are not worked on."""
+    chosen = {assignment.id for assignment in assigned}
+    return [status for job, status in states.items() if job not in chosen]
+
+
+def _threads(layout: Layout, job: JobRecord) -> int:
+    from rrmctl.store.reader import read_config
+
+    return int(read_config(layout.run(job.id))["threads"])
+
+
+def _run(console: Console, layout: Layout, assigned: Sequence[Assignment], slots: int) -> Exit:
+    """Run the jobs, shown as bars at a terminal and as lines elsewhere."""
+    from rrmctl.cli.live import Bars, Lines
+    from rrmctl.pool import Pool
+
+    asked = ["rrmctl", *sys.argv[1:]]
+    if not assigned:
+        return Exit.DONE
+    if not console.is_terminal:
+        return Pool(
+            layout=layout, assignments=assigned, slots=slots, watcher=Lines(console, layout, assigned), asked=asked
+        ).run()
+    bars = Bars(console, layout, assigned)
+    with bars.progress:
+        return Pool(layout=layout, assignments=assigned, slots=slots, watcher=bars, asked=asked).run()
+
+
+def _finish(layout: Layout, code: Exit, left_out: Iterable[Status], experiments: Iterable[str]) -> None:
+    """Say how it ended and what to do next, and leave with the exit code."""
+    failed_before = sum(status.state == "failed" for status in left_out)
+    if code is Exit.DONE and failed_before:
+        code = Exit.FAILED
+    names = list(experiments)
+    here = "" if layout.root == DEFAULT_RESULTS else f" --results {layout.root}"
+    name = names[0] if len(names) == 1 else ""
+    status_command = f"rrmctl status {name} --failed{here}".replace("  ", " ")
+    match code:
+        case Exit.DONE:
+            typer.echo("All done. Next:")
+            for each in names:
+                typer.echo(f"  rrmctl report iqm {each}{here}")
+                typer.echo(f"  rrmctl plot {each}{here}")
+        case Exit.FAILED:
+            typer.echo(f"Some runs failed: {status_command}; --retry-failed tries them again.")
+        case _:
+            typer.echo(f"Not complete: rrmctl resume{' ' + name if name else ''}{here} goes on where it stopped.")
+    raise typer.Exit(code)
+
+
+def _progress_console() -> Console:
+    from rich.console import Console
+
+    return Console(stderr=True, highlight=False)
+
+
+def _asks() -> bool:
+    """Whether there is a person to ask."""
+    return sys.stdin.isatty() and sys.stderr.isatty()

@@ -1,0 +1,242 @@
+"""Commands that tell where runs stand: `status` and `show`."""
+
+from __future__ import annotations
+
+import json
+import sys
+import time
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from rrmctl.cli.options import DEFAULT_RESULTS, ResultsOption
+from rrmctl.cli.progress import STATES, Group, errors, group_by_row, group_by_sweep
+
+if TYPE_CHECKING:
+    from rich.console import Console, RenderableType
+
+    from rrmctl.store.layout import Layout, RunFolder
+    from rrmctl.store.records import Status, SweepRecord
+
+#: Time between two looks of `status --watch`, seconds.
+_WATCH_S = 2.0
+
+_COLOURS = {"done": "green", "running": "cyan", "interrupted": "yellow", "failed": "red", "unreadable": "bold red"}
+
+
+def status(
+    name: Annotated[
+        str | None, typer.Argument(metavar="[NAME]", help="Only this experiment, in more detail. Default: all.")
+    ] = None,
+    results: ResultsOption = DEFAULT_RESULTS,
+    watch: Annotated[bool, typer.Option("--watch", help="Look again every two seconds until nothing is left.")] = False,
+    failed: Annotated[bool, typer.Option("--failed", help="Failed runs, grouped by what went wrong.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON, one line a look, for programs.")] = False,
+) -> None:
+    """Tell how far every sweep in the results folder is. Reads only, at any time, while anything runs.
+
+    A run is "interrupted" when its process stopped or died before its end; `rrmctl resume` goes on with it.
+    """
+    from rrmctl.store.reader import find_sweeps, open_results, statuses
+    from rrmctl.store.records import read_sweeps
+
+    layout = open_results(results)
+
+    def look() -> _View:
+        sweeps = read_sweeps(layout) if name is None else find_sweeps(layout, name)
+        states = statuses(layout, (job for sweep in sweeps for job in sweep.jobs))
+        return _View(layout, sweeps, states, detailed=name is not None, failed=failed)
+
+    view = look()
+    if not watch:
+        typer.echo(json.dumps(view.as_json())) if as_json else _console().print(view.table())
+        return
+    try:
+        _watch(view, look, as_json=as_json)
+    except KeyboardInterrupt:  # how one leaves it
+        return
+
+
+def _watch(view: _View, look: Any, *, as_json: bool) -> None:
+    from rich.live import Live
+
+    console = _console()
+    if as_json or not console.is_terminal:
+        said = None
+        while True:
+            told = json.dumps(view.as_json()) if as_json else view.line()
+            if told != said:
+                typer.echo(told)
+                said = told
+            if not view.has_work:
+                return
+            time.sleep(_WATCH_S)
+            view = look()
+    with Live(view.table(), console=console, auto_refresh=False) as live:
+        while view.has_work:
+            time.sleep(_WATCH_S)
+            view = look()
+            live.update(view.table(), refresh=True)
+
+
+class _View:
+    """One look at the store, ready to be shown.
+
+    Args:
+        detailed: one line per row of the grid instead of one per sweep, and the runs under way.
+        failed: the failures instead.
+    """
+
+    def __init__(
+        self,
+        layout: Layout,
+        sweeps: Sequence[SweepRecord],
+        states: Mapping[str, Status],
+        *,
+        detailed: bool,
+        failed: bool,
+    ) -> None:
+        self._layout = layout
+        self._sweeps = sweeps
+        self._states = states
+        self._failed = failed
+        self.groups = group_by_row(sweeps, states) if detailed else group_by_sweep(sweeps, states)
+        self.total = Group("all", self._every_job(), states)
+
+    @property
+    def has_work(self) -> bool:
+        """Whether any run is neither done nor failed."""
+        return self.total.open > 0
+
+    def line(self) -> str:
+        """The totals in words."""
+        counts = ", ".join(f"{self.total.counts[state]} {state}" for state in STATES if self.total.counts[state])
+        return f"{counts or 'nothing'} of {len(self.total.jobs)} runs{self.total.left_in_words()}"
+
+    def table(self) -> RenderableType:
+        """For people."""
+        from rich.console import Group as Stack
+        from rich.table import Table
+
+        if self._failed:
+            return self._failures()
+        table = Table(box=None, pad_edge=False)
+        shown = [state for state in STATES if self.total.counts[state] or state == "done"]
+        table.add_column("experiment" if not self.groups else self.groups[0].heading)
+        for column in (*shown, "of", "left"):
+            table.add_column(column, justify="right", style=_COLOURS.get(column))
+        for group in self.groups:
+            counts = (str(group.counts[state] or "-") for state in shown)
+            table.add_row(group.name, *counts, str(len(group.jobs)), group.left_in_words().lstrip(", "))
+        return Stack(table, "", self.line(), *self._hints())
+
+    def _hints(self) -> list[str]:
+        hints = []
+        if self.total.counts["failed"] or self.total.counts["unreadable"]:
+            hints.append("rrmctl status --failed says why runs failed.")
+        if not self.total.counts["running"] and self.has_work:
+            hints.append("Nothing is running; rrmctl resume goes on.")
+        return hints
+
+    def _failures(self) -> RenderableType:
+        from rich.text import Text
+
+        lines = Text()
+        found = errors(self._every_job(), self._states)
+        if not found:
+            return Text("No run failed.")
+        for message, jobs in found.items():
+            lines.append(f"{len(jobs)} {'runs' if len(jobs) > 1 else 'run'}: {message}\n", style="red")
+            for job in jobs:
+                lines.append(f"  {job.id}  {job.label}, attempt {self._states[job.id].attempt}\n")
+        lines.append(
+            f"`rrmctl show ID` shows the log; logs are {self._layout.run(jobs[-1].id).log.parent.parent}/ID/log.txt."
+        )
+        return lines
+
+    def as_json(self) -> dict[str, Any]:
+        """For programs."""
+        return {
+            "runs": len(self.total.jobs), **{state: self.total.counts[state] for state in STATES},
+            "core_seconds_left": self.total.seconds_left, "groups": [group.as_json() for group in self.groups],
+            "errors": {
+                message: [job.id for job in jobs] for message, jobs in errors(self._every_job(), self._states).items()
+            },
+        }  # fmt: skip
+
+    def _every_job(self) -> list[Any]:
+        return list({job.id: job for sweep in self._sweeps for job in sweep.jobs}.values())
+
+
+def show(
+    run: Annotated[str, typer.Argument(metavar="RUN", help="A run's id, or enough of its first digits.")],
+    results: ResultsOption = DEFAULT_RESULTS,
+    lines: Annotated[int, typer.Option("--lines", min=0, help="Lines of the log's end.")] = 15,
+) -> None:
+    """Show one run: what it is, where it stands, what it ran with, its last evaluations and the end of its log."""
+    from rrmctl.store.reader import find_run, open_results
+
+    layout = open_results(results)
+    folder = find_run(layout, run)
+    console = _console()
+    for title, text in _sections(layout, folder, lines):
+        if text:
+            console.print(title, style="bold")
+            console.print(text, markup=False, soft_wrap=True)
+            console.print()
+
+
+def _sections(layout: Layout, folder: RunFolder, lines: int) -> list[tuple[str, str]]:
+    from rrmctl.store.atomic import read_json
+    from rrmctl.store.reader import log_tail, read_config, run_status
+    from rrmctl.store.records import read_sweeps
+
+    now = run_status(folder)
+    uses = [(sweep, job) for sweep in read_sweeps(layout) for job in sweep.jobs if job.id == folder.id]
+    state = f"{now.state}, attempt {now.attempt}, step {now.step:,}" + (f" of {now.steps:,}" if now.steps else "")
+    again = [_command(layout, sweep, job) for sweep, job in uses]
+    return [
+        (f"run {folder.id}", "\n".join([str(folder.path), *(f"{s.experiment}: {j.label}" for s, j in uses)])),
+        ("state", state + (f"\n{now.error}" if now.error else "")),
+        ("configuration", json.dumps(read_config(folder), indent=1)),
+        ("provenance", json.dumps(read_json(folder.provenance), indent=1) if folder.provenance.exists() else ""),
+        ("last evaluations", _last_rows(folder)),
+        ("end of the log", "\n".join(log_tail(folder, lines) if lines else [])),
+        ("again, from nothing", "\n".join(again)),
+    ]
+
+
+def _last_rows(folder: RunFolder, count: int = 5) -> str:
+    from rrmctl.cli.live import score
+    from rrmctl.store.reader import read_curve
+
+    table = read_curve(folder)
+    if table is None:
+        return ""
+    rows = table.slice(max(0, table.num_rows - count)).to_pylist()
+    told = []
+    for row in rows:
+        success = row["success"] if row["success"] == row["success"] else None  # NaN: the task has no success
+        told.append(f"step {row['step']:>9,}  {score(success, row['true_return'])}  return {row['true_return']:,.1f}")
+    return "\n".join(told)
+
+
+def _command(layout: Layout, sweep: SweepRecord, job: Any) -> str:
+    """The command that trains this run again."""
+    import shlex
+
+    words = ["rrmctl", "run", sweep.experiment, "--profile", sweep.profile]
+    for key, value in sweep.overrides.items():
+        words += ["--set", f"{key}={value if isinstance(value, str) else json.dumps(value)}"]
+    words += ["--tasks", job.task, "--methods", job.method, "--seeds", f"{job.seed},"]
+    if layout.root != DEFAULT_RESULTS:
+        words += ["--results", str(layout.root)]
+    return shlex.join([*words, "--force"])
+
+
+def _console() -> Console:
+    from rich.console import Console
+
+    # Wide where nobody looks: what another program reads should not be folded.
+    return Console(highlight=False, width=None if sys.stdout.isatty() else 200)
