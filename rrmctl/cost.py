@@ -17,6 +17,7 @@ The constants were fitted on one machine; the result is good to about a factor o
 
 from __future__ import annotations
 
+import math
 import os
 import statistics
 import subprocess
@@ -151,7 +152,7 @@ def model_seconds(config: RunConfig, gemm: float) -> float:
     updates = max(config.steps - config.random_steps, 0) / agent.update_every
     states = config.random_steps + config.exploration.unsupervised_steps / 2
     entropy = config.exploration.unsupervised_steps * 2 * agent.batch * spec.obs_dim * states / gemm
-    evaluated = (config.steps // config.evaluation.every + 1) * config.evaluation.episodes * config.episode_steps
+    evaluated = math.ceil(config.steps / config.evaluation.every) * config.evaluation.episodes * config.episode_steps
     return (config.steps + evaluated) * step + updates * update + entropy + _reward_seconds(config, gemm)
 
 

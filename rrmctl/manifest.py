@@ -202,16 +202,28 @@ _SPELLED = {field: key for key, field in _SECTIONS.items()}
 def _explain(error: ValidationError, path: Path) -> str:
     """What pydantic found, in one line per mistake: file, key, what is wrong, what was given."""
     lines = []
-    for found in error.errors(include_url=False)[:5]:
-        top, *rest = (str(part) for part in found["loc"])
-        key = ".".join([_SPELLED.get(top, top), *(p for p in rest if p not in ("settings", "int", "tuple[int, ...]"))])
+    mistakes = error.errors(include_url=False)
+    inside = {found["loc"][:depth] for found in mistakes for depth in range(len(found["loc"]))}
+    for found in [found for found in mistakes if found["loc"] not in inside][:5]:  # the innermost say it all
+        key = _key([str(part) for part in found["loc"]])
         if found["type"] == "missing":
             lines.append(f"{path}: {key} is missing")
         elif found["type"] == "too_short":
-            lines.append(f"{path}: {key} is empty; name at least one")
+            least = found["ctx"]["min_length"]
+            lines.append(f"{path}: {key} is {'empty' if least == 1 else 'too short'}; name at least {least}")
         else:
-            lines.append(f"{path}: {key}: {found['msg'].removeprefix('Value error, ')}; got {found['input']!r}")
+            what = found["msg"].removeprefix("Value error, ").replace("tuple", "list")
+            lines.append(f"{path}: {key}: {what}; got {found['input']!r}")
     return "\n".join(dict.fromkeys(lines))
+
+
+def _key(location: list[str]) -> str:
+    """The key as a person wrote it: pydantic adds the numbers of list entries and the kinds it tried."""
+    top, *rest = location
+    if top == "grids" and rest:
+        return f"[grid] {'.'.join(rest[1:])}"
+    kinds = ("settings", "int", "tuple[int, ...]")
+    return ".".join([_SPELLED.get(top, top), *(part for part in rest if part not in kinds)])
 
 
 def find(name: str, folder: Path) -> Path:

@@ -1,0 +1,125 @@
+"""Costs: the model against hand-worked numbers, and stored speeds before the model."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from rrm.training.config import RunConfig
+from rrmctl import manifest
+from rrmctl.cost import estimate, measure_gemm, model_seconds, stored_rates
+from rrmctl.plan import Plan, make_plan
+from rrmctl.store.layout import Layout
+from rrmctl.store.records import JobRecord, State, Status, SweepRecord, record_sweep, write_status
+
+GIGA = 1e9
+
+
+def toy(**options: Any) -> Plan:
+    table = {
+        "title": "T", "reproduces": ["F"], "rule": "R", "seeds": 2,
+        "grid": {"tasks": ["toy-car"], "methods": ["oracle", "pebble"]},
+    }  # fmt: skip
+    return make_plan(manifest.parse(table, Path("mine.toml")), **options)
+
+
+def oracle(**changes: Any) -> RunConfig:
+    return RunConfig.model_validate(
+        {"task": "button-press", "seed": 0, "steps": 25_000, "reward": {"learner": "true"}, **changes}
+    )
+
+
+def test_known_reward_by_hand() -> None:
+    """Twenty-five thousand steps of the paper's SAC: simulation, updates and evaluation, added up on paper."""
+    weights_actor = 39 * 256 + 2 * 256 * 256 + 256 * 8
+    weights_critic = 43 * 256 + 2 * 256 * 256 + 256 * 1
+    update = 0.0005 + 1.2 * 2 * 512 * (4 * weights_actor + 12 * weights_critic) / (100 * GIGA)
+    steps = (25_000 + 3 * 10 * 500) * (1 / 1800 + 0.0003)  # evaluated at 10k, 20k and the end
+    assert model_seconds(oracle(), 100 * GIGA) == pytest.approx(24_000 * update + steps)
+
+
+def test_a_faster_core_costs_less() -> None:
+    """Time falls with the core's speed, but never below what does not multiply matrices."""
+    slow, fast, limit = (model_seconds(oracle(), rate) for rate in (10 * GIGA, 100 * GIGA, 1e30))
+    assert slow > fast > limit > 25_000 / 1800
+
+
+def test_what_costs_more() -> None:
+    """Larger batches, networks and more evaluations cost more; so does a reward that must be learned."""
+    base = model_seconds(oracle(), 100 * GIGA)
+    for dearer in (
+        {"agent": {"batch": 1024}}, {"agent": {"hidden": 512}}, {"evaluation": {"every": 1000}}, {"steps": 40_000},
+        {"reward": {"learner": "pebble"}},
+        {"reward": {"learner": "pebble"}, "exploration": {"unsupervised_steps": 9000}},
+    ):  # fmt: skip
+        assert model_seconds(oracle(**dearer), 100 * GIGA) > base
+
+
+def test_seeds_cost_the_same() -> None:
+    """The estimate covers every job, adds up, and says that it is a model."""
+    plan = toy(seeds="3")
+    cost = estimate(plan, {}, 100 * GIGA)
+    assert set(cost.seconds) == {job.id for job in plan.jobs}
+    assert len(set(cost.seconds.values())) == 2
+    assert cost.core_hours() == pytest.approx(sum(cost.seconds.values()) / 3600)
+    assert "operations" in cost.source
+
+
+def test_only_what_is_left_is_counted() -> None:
+    """A finished job costs nothing more, one half done half as much."""
+    plan = toy(seeds="1")
+    cost = estimate(plan, {(job.task, job.method, "paper"): 100.0 for job in plan.jobs})
+    assert cost.core_hours() == pytest.approx(2 * 15_000 / 100 / 3600)
+    assert cost.core_hours({plan.jobs[0].id: 0.0, plan.jobs[1].id: 0.5}) == pytest.approx(0.5 * 15_000 / 100 / 3600)
+
+
+def store(root: Path, plan: Plan, *states: Status) -> Layout:
+    """A results root in which the plan's first runs are in these states."""
+    layout = Layout(root)
+    jobs = tuple(
+        JobRecord(
+            id=job.id, cell=job.config.cell, task=job.task, method=job.method, teacher=job.teacher,
+            feedback=job.feedback, seed=job.seed, steps=job.config.steps,
+        )
+        for job in plan.jobs
+    )  # fmt: skip
+    record_sweep(layout, SweepRecord(experiment=plan.experiment, variant=plan.variant, profile=plan.profile, jobs=jobs))
+    for job, status in zip(plan.jobs, states, strict=False):
+        folder = layout.run(job.id)
+        folder.path.mkdir(parents=True)
+        write_status(folder, status)
+    return layout
+
+
+def test_stored_speeds_come_first(tmp_path: Path) -> None:
+    """Runs in the store give the speed of their task, method and variant; the model serves for the rest."""
+    plan = toy()
+    done = Status(state=State.DONE, step=15_000, steps=15_000, wall_s=30.0, steps_per_s=1.0)
+    layout = store(tmp_path, plan, done)
+    rates = stored_rates(layout)
+    assert rates == {("toy-car", "oracle", "paper"): 500.0}
+    cost = estimate(plan, rates, 100 * GIGA)
+    assert {job.method for job in plan.jobs if job.id in cost.measured} == {"oracle"}
+    assert cost.seconds[plan.jobs[0].id] == 30.0
+    assert "2 of 4 jobs" in cost.source
+    smaller = toy(overrides={"agent.batch": 8})
+    assert not estimate(smaller, rates, 100 * GIGA).measured
+
+
+def test_speed_of_unfinished_runs(tmp_path: Path) -> None:
+    """An unfinished run tells its latest speed; the median over seeds counts; a run that never moved says nothing."""
+    plan = toy(methods=["oracle"], seeds="4")
+    speeds = [Status(state=State.INTERRUPTED, step=10, steps=15_000, steps_per_s=s) for s in (100.0, 400.0, 200.0)]
+    assert stored_rates(store(tmp_path, plan, *speeds, Status())) == {("toy-car", "oracle", "paper"): 200.0}
+
+
+def test_empty_store(tmp_path: Path) -> None:
+    """Nothing stored, nothing known."""
+    assert stored_rates(Layout(tmp_path / "absent")) == {}
+
+
+def test_this_core_multiplies() -> None:
+    """The measurement gives a rate that a processor can have."""
+    assert 1e8 < measure_gemm() < 1e14

@@ -1,0 +1,75 @@
+"""The doctor: what it finds on a sound machine, and what it says where something is missing."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+
+from rrmctl import doctor
+
+
+def test_required_packages_are_found() -> None:
+    """Every requirement of the project is checked, and this environment meets them."""
+    found = {check.name: check for check in doctor.packages()}
+    assert {"torch", "metaworld", "dm-control", "pyarrow", "pybullet"} <= set(found)
+    assert "pytest" not in found
+    assert all(check.state == "ok" for name, check in found.items() if name != "pybullet")
+    assert doctor.python_version().state == "ok"
+
+
+def test_absent_and_wrong_packages() -> None:
+    """A package that is absent or of another version is missing, with the command that installs it."""
+    absent = doctor.package("no-such-package", ">=1", needed=True)
+    assert (absent.state, absent.found) == ("missing", "not installed")
+    assert absent.fix.endswith("-m pip install 'no-such-package>=1'")
+    wrong = doctor.package("numpy", "<1", needed=True)
+    assert wrong.state == "missing"
+    assert "<1 is needed" in wrong.found
+    assert doctor.package("no-such-package", ">=1", needed=False).state == "note"
+
+
+def test_rendering_is_a_note() -> None:
+    """Without an OpenGL backend there is a note with the fix: runs on states need none."""
+    check = doctor.rendering(("no-such-backend",))
+    assert check.state == "note"
+    assert "no-such-backend" in check.found
+    assert "apt-get install" in check.fix
+
+
+def test_results_folder(tmp_path: Path) -> None:
+    """A folder that exists can be written, one that does not can be made; nothing is left behind."""
+    assert doctor.writable(tmp_path).found.endswith("can be written")
+    assert doctor.writable(tmp_path / "a" / "b").found.endswith("can be made")
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="the superuser may write anywhere")
+def test_unwritable_results_folder(tmp_path: Path) -> None:
+    """A folder that takes no file is missing, and another can be named."""
+    tmp_path.chmod(0o500)
+    check = doctor.writable(tmp_path)
+    assert check.state == "missing"
+    assert "--results" in check.fix
+
+
+def test_results_that_are_no_folder(tmp_path: Path) -> None:
+    """A file where the results folder should be is missing."""
+    (tmp_path / "results").write_text("")
+    assert doctor.writable(tmp_path / "results").state == "missing"
+
+
+def test_experiments_folder(tmp_path: Path) -> None:
+    """No manifest is missing; one is enough."""
+    assert {c.name: c.state for c in doctor.folders(tmp_path, tmp_path)}["experiments"] == "missing"
+    (tmp_path / "one.toml").write_text("")
+    assert {c.name: c.found for c in doctor.folders(tmp_path, tmp_path)}["experiments"] == f"1 in {tmp_path}"
+
+
+def test_vector_extensions(tmp_path: Path) -> None:
+    """Formats the processor computes in are read from the system's description, where it has one."""
+    info = tmp_path / "cpuinfo"
+    info.write_text("processor\t: 0\nflags\t\t: fpu sse2 avx2 amx_bf16\n")
+    assert doctor.precision(info).found == "float32; vector extensions: avx2, amx_bf16"
+    assert "does not tell" in doctor.precision(tmp_path / "absent").found

@@ -1,0 +1,190 @@
+"""Manifests: what a good one says, and what each kind of mistake is answered with."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from rrmctl import manifest
+from rrmctl.errors import UserError
+
+GOOD = """
+title = "T"
+reproduces = ["Fig. 1"]
+rule = "IQM."
+seeds = 3
+
+[grid]
+tasks = ["toy-car"]
+methods = ["oracle", "pebble"]
+"""
+
+
+def write(folder: Path, text: str, name: str = "mine.toml") -> Path:
+    path = folder / name
+    path.write_text(text)
+    return path
+
+
+def refused(folder: Path, text: str) -> str:
+    with pytest.raises(UserError) as caught:
+        manifest.load(write(folder, text))
+    return str(caught.value)
+
+
+def test_small_manifest(tmp_path: Path) -> None:
+    """A title, a figure, a rule and a grid are enough; the rest has defaults."""
+    read = manifest.load(write(tmp_path, GOOD))
+    assert (read.name, read.seeds, read.default_profile) == ("mine", 3, "paper")
+    assert read.grids[0].teachers == ("oracle",)
+    assert read.grids[0].feedback == ("default",)
+
+
+def test_every_section(tmp_path: Path) -> None:
+    """Sections land in their fields; learner and prior are told apart from a method's settings."""
+    text = GOOD + (
+        'zip = [["tasks", "methods"]]\n'
+        'include = [{method = "rrm-zero", set = {agent.batch = 64}}]\n'
+        'exclude = [{task = "toy-car"}]\n'
+        "[task.toy-car]\nsteps = 5\n"
+        '[method.pebble]\nprior = "p.py:f"\nagent.hidden = 8\n'
+        "[teacher.tired]\nmistake = 0.5\n[feedback.rare]\nevery = 7\n"
+        "[profile.smoke]\nsteps = 9\n[defaults]\nsteps = 1\n"
+    )
+    read = manifest.load(write(tmp_path, text))
+    assert read.methods["pebble"].prior == "p.py:f"
+    assert read.methods["pebble"].settings == {"agent": {"hidden": 8}}
+    assert read.grids[0].include[0].set == {"agent": {"batch": 64}}
+    assert (read.tasks, read.teachers) == ({"toy-car": {"steps": 5}}, {"tired": {"mistake": 0.5}})
+    assert (read.feedback, read.profiles) == ({"rare": {"every": 7}}, {"smoke": {"steps": 9}})
+    assert read.defaults == {"steps": 1}
+
+
+def test_several_grids(tmp_path: Path) -> None:
+    """[[grid]] may be written more than once."""
+    text = GOOD.replace("[grid]", "[[grid]]") + '[[grid]]\ntasks = ["walker-walk"]\nmethods = ["oracle"]\n'
+    assert [grid.tasks for grid in manifest.load(write(tmp_path, text)).grids] == [("toy-car",), ("walker-walk",)]
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "said"),
+    [
+        ("title", "titel", 'unknown key "titel"; did you mean "title"?'),
+        ("methods", "method", '[grid]: unknown key "method"; did you mean "methods"?'),
+        ('["toy-car"]', "[]", "[grid] tasks is empty; name at least 1"),
+        ('["toy-car"]', '"toy-car"', "[grid] tasks: Input should be a valid list; got 'toy-car'"),
+        ('["toy-car"]', "[3]", "[grid] tasks.0: Input should be a valid string; got 3"),
+        ('["toy-car"]', '["toy-car", "toy-car"]', "[grid] tasks: named twice: toy-car"),
+        ('title = "T"', "title = 5", "title: Input should be a valid string; got 5"),
+        ('title = "T"', "", "title is missing"),
+        ("seeds = 3", "seeds = 1.5", "seeds: "),
+        ("seeds = 3", "seeds = true", "seeds: "),
+        ('["Fig. 1"]', "[]", "reproduces is empty"),
+        ("seeds = 3", "seeds = ", "not valid TOML"),
+        ("[grid]", "[gird]", 'unknown key "gird"; did you mean "grid"?'),
+        ("[grid]", "[defaults]", "there is no [grid]"),
+    ],
+)
+def test_mistakes_are_named(tmp_path: Path, before: str, after: str, said: str) -> None:
+    """Each mistake names the file, the key and what is wrong."""
+    message = refused(tmp_path, GOOD.replace(before, after))
+    assert said in message
+    assert "mine.toml" in message
+
+
+@pytest.mark.parametrize(
+    ("line", "said"),
+    [
+        ('zip = [["tasks"]]', "[grid] zip.0 is too short; name at least 2"),
+        ('zip = [["tasks", "methods"], ["tasks", "teachers"]]', "an axis can be paired once only: tasks"),
+        ('zip = [["tasks", "seeds"]]', "[grid] zip.0.1"),
+        ('exclude = [{tsk = "toy-car"}]', 'unknown key "tsk"; did you mean "task"?'),
+        ("exclude = [{}]", "an empty entry matches every row"),
+        ("include = 3", "[grid] include"),
+        ("[method]\npebble = 3", "method.pebble"),
+        ("[task]\ntoy-car = 3", "task.toy-car"),
+    ],
+)
+def test_mistakes_in_the_grid(tmp_path: Path, line: str, said: str) -> None:
+    """Pairings, includes and excludes are checked as well."""
+    assert said in refused(tmp_path, GOOD + line)
+
+
+def test_unreadable_files(tmp_path: Path) -> None:
+    """Not text, not there, or not a name: a message each."""
+    broken = tmp_path / "bytes.toml"
+    broken.write_bytes(b"title = '\xff'")
+    with pytest.raises(UserError, match="not UTF-8"):
+        manifest.load(broken)
+    with pytest.raises(UserError, match="cannot read"):
+        manifest.load(tmp_path / "absent.toml")
+    with pytest.raises(UserError, match="name is made of"):
+        manifest.load(write(tmp_path, GOOD, "two words.toml"))
+
+
+def test_find(tmp_path: Path) -> None:
+    """A name is looked up in the folder, a path is taken as it is, and a near miss is suggested."""
+    path = write(tmp_path, GOOD, "main-results.toml")
+    assert manifest.find("main-results", tmp_path) == path
+    assert manifest.find(str(path), tmp_path / "elsewhere") == path
+    with pytest.raises(UserError, match='did you mean "main-results"'):
+        manifest.find("main-result", tmp_path)
+    with pytest.raises(UserError, match="no file"):
+        manifest.find("absent.toml", tmp_path)
+
+
+def test_no_experiments(tmp_path: Path) -> None:
+    """A missing or empty folder says how to name another."""
+    for folder in (tmp_path, tmp_path / "absent"):
+        with pytest.raises(UserError) as caught:
+            manifest.available(folder)
+        assert "--experiments" in str(caught.value.hint)
+
+
+SCALARS = st.one_of(
+    st.none(), st.booleans(), st.integers(), st.floats(), st.text(max_size=8), st.sampled_from(["toy-car", "pebble"])
+)
+JUNK = st.recursive(
+    SCALARS,
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=6), inner, max_size=3),
+    max_leaves=6,
+)
+GRID = st.dictionaries(st.sampled_from([*manifest.Grid.model_fields, "x"]), JUNK, max_size=5)
+KEYS = [
+    "title",
+    "reproduces",
+    "rule",
+    "default_profile",
+    "seeds",
+    "defaults",
+    "task",
+    "method",
+    "teacher",
+    "feedback",
+    "profile",
+]
+
+
+@given(st.dictionaries(st.sampled_from(KEYS), JUNK, max_size=8), GRID | JUNK | st.lists(GRID, max_size=2))
+@settings(max_examples=150, deadline=None)
+def test_any_table_is_read_or_refused(table: dict[str, Any], grid: Any) -> None:
+    """Whatever a file holds, the answer is a manifest or a `UserError` that names the file."""
+    try:
+        said = manifest.parse({**table, "grid": grid}, Path("any.toml")).name
+    except UserError as error:
+        said = str(error)
+    assert "any" in said
+
+
+@given(st.text(max_size=60))
+@settings(max_examples=60, deadline=None)
+def test_any_text_is_read_or_refused(tmp_path_factory: pytest.TempPathFactory, text: str) -> None:
+    """Whatever a file says, the answer is a manifest or a `UserError`."""
+    path = tmp_path_factory.mktemp("text") / "any.toml"
+    path.write_bytes(text.encode("utf-8", "surrogatepass"))
+    with pytest.raises(UserError, match=r"any\.toml"):
+        manifest.load(path)

@@ -1,0 +1,485 @@
+"""Plans: which runs an experiment means, with which settings, under which names."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from rrmctl import manifest
+from rrmctl.errors import UserError
+from rrmctl.plan import Job, Plan, make_plan, parse_seeds, variant
+from rrmctl.profiles import profiles
+from rrmctl.settings import known_settings
+
+EXPERIMENTS = Path(__file__).parents[2] / "experiments"
+
+GRID: dict[str, Any] = {"tasks": ["toy-car"], "methods": ["oracle", "pebble"]}
+
+
+def made(grid: Any = None, **sections: Any) -> manifest.Manifest:
+    """A manifest of the toy task with these sections."""
+    table = {"title": "T", "reproduces": ["F"], "rule": "R", "seeds": 2, "grid": grid or GRID, **sections}
+    return manifest.parse(table, Path("mine.toml"))
+
+
+def rows(plan: Plan) -> list[tuple[str, str, str, str, int]]:
+    return [(j.task, j.method, j.teacher, j.feedback, j.seed) for j in plan.jobs]
+
+
+def only(plan: Plan, method: str) -> Job:
+    return next(job for job in plan.jobs if job.method == method)
+
+
+def refused(experiment: manifest.Manifest, **options: Any) -> UserError:
+    with pytest.raises(UserError) as caught:
+        make_plan(experiment, **options)
+    return caught.value
+
+
+def test_grid_and_seeds() -> None:
+    """Every combination once for every seed, seed by seed; nothing is asked of a teacher where the reward is known."""
+    assert rows(make_plan(made())) == [
+        ("toy-car", "oracle", "-", "-", 0),
+        ("toy-car", "pebble", "oracle", "20@500/400", 0),
+        ("toy-car", "oracle", "-", "-", 1),
+        ("toy-car", "pebble", "oracle", "20@500/400", 1),
+    ]
+
+
+def test_more_seeds_keep_the_first() -> None:
+    """The jobs of five seeds are among those of ten, with the same ids."""
+    five, ten = (make_plan(made(), seeds=n) for n in ("5", "10"))
+    assert {job.id for job in five.jobs} < {job.id for job in ten.jobs}
+    assert len({job.id for job in ten.jobs}) == 20
+
+
+def test_ids_are_identities() -> None:
+    """A job's id is its configuration's identity, whatever the experiment is called."""
+    job = make_plan(made()).jobs[1]
+    assert job.id == job.config.identity
+    other = manifest.parse(
+        {"title": "U", "reproduces": ["G"], "rule": "S", "grid": {"tasks": ["toy-car"], "methods": ["pebble"]}},
+        Path("other.toml"),
+    )
+    assert job.id == make_plan(other, seeds="1").jobs[0].id
+
+
+@pytest.mark.parametrize(
+    ("task", "steps", "feedback", "epochs"),
+    [
+        ("button-press", 500_000, "50@5000/5000", 10),
+        ("door-open", 500_000, "50@5000/5000", 10),
+        ("door-unlock", 500_000, "50@5000/5000", 10),
+        ("window-open", 500_000, "50@5000/5000", 10),
+        ("sweep-into", 1_000_000, "50@5000/10000", 10),
+        ("walker-walk", 500_000, "50@20000/500", 50),
+        ("quadruped-walk", 1_000_000, "50@30000/1000", 50),
+    ],
+)
+def test_paper_budgets(task: str, steps: int, feedback: str, epochs: int) -> None:
+    """Steps, feedback and reward epochs of each task are the paper's."""
+    plan = make_plan(made({"tasks": [task], "methods": ["oracle", "pebble", "rrm-proxy", "sac-proxy"]}), seeds="1")
+    pebble = only(plan, "pebble").config
+    assert (pebble.steps, only(plan, "pebble").feedback, pebble.reward.epochs) == (steps, feedback, epochs)
+    explored = [(j.method, j.config.exploration.seed_steps, j.config.exploration.unsupervised_steps) for j in plan.jobs]
+    assert explored == [
+        ("oracle", 5000, 0),
+        ("pebble", 1000, 9000),
+        ("rrm-proxy", 1000, 0),
+        ("sac-proxy", 5000, 0),
+    ]
+
+
+@pytest.mark.parametrize(
+    ("name", "learner", "prior"),
+    [
+        ("oracle", "true", None),
+        ("pebble", "pebble", None),
+        ("sac-h2o", "prior", "h2o"),
+        ("rrm-o2g", "pebble", "o2g"),
+        ("rrm-pebble-o2g", "pebble", "o2g"),
+    ],
+)
+def test_method_names(name: str, learner: str, prior: str | None) -> None:
+    """A method's name says its learner and its prior."""
+    job = make_plan(made({"tasks": ["button-press"], "methods": [name]})).jobs[0]
+    assert (job.config.reward.learner, job.config.reward.prior) == (learner, prior)
+
+
+def test_sections_win_in_order() -> None:
+    """Later sections win: defaults, grid, task, feedback, teacher, method, include, profile, --set."""
+    names = ["agent.batch", "agent.hidden", "agent.layers", "members", "epochs", "capacity", "minibatch", "lr", "tau"]
+    assert len(names) == 9
+    experiment = made(
+        {**GRID, "methods": ["pebble"], "set": {"agent": {"batch": 2, "hidden": 2}}},
+        defaults={"agent": {"batch": 1, "hidden": 1, "layers": 1, "tau": 0.1}},
+        task={"toy-car": {"agent": {"hidden": 3, "layers": 3}}},
+        method={"pebble": {"agent": {"layers": 4}, "reward": {"hidden": 4}}},
+        profile={"smoke": {"reward": {"hidden": 5}, "agent": {"tau": 0.2}}},
+    )
+    smoke = make_plan(experiment, profile="smoke", overrides=["agent.tau=0.3"]).jobs[0].config
+    assert (smoke.agent.batch, smoke.agent.hidden, smoke.agent.layers) == (2, 3, 4)
+    assert (smoke.reward.hidden, smoke.agent.tau) == (5, 0.3)
+    assert make_plan(experiment).jobs[0].config.reward.hidden == 4
+
+
+def test_amounts_shrink_with_the_profile() -> None:
+    """A manifest's steps and feedback are at the paper's scale and keep their proportion elsewhere; sizes stay."""
+    experiment = made(
+        {"tasks": ["button-press"], "methods": ["pebble"], "feedback": ["default", "rare"]},
+        feedback={"rare": {"every": 20_000, "batch": 25}},
+        method={"pebble": {"agent": {"hidden": 300}}},
+    )
+    paper = [job.feedback for job in make_plan(experiment, seeds="1").jobs]
+    assert paper == ["50@5000/5000", "25@20000/5000"]
+    smoke = make_plan(experiment, profile="smoke", seeds="1").jobs
+    assert [job.feedback for job in smoke] == ["8@100/24", "4@400/24"]
+    assert smoke[0].config.agent.hidden == 300
+
+
+def test_profile_sections_and_set_are_literal() -> None:
+    """What is said for one profile, or on the command line, is not scaled."""
+    experiment = made(profile={"smoke": {"steps": 700}})
+    assert make_plan(experiment, profile="smoke").jobs[0].config.steps == 700
+    assert make_plan(experiment, profile="smoke", overrides={"steps": 900}).jobs[0].config.steps == 900
+
+
+def test_paired_axes() -> None:
+    """Axes of a `zip` advance together while the others are crossed with them."""
+    grid = {
+        "tasks": ["toy-car", "walker-walk"],
+        "methods": ["pebble", "rrm-zero"],
+        "teachers": ["oracle", "mistaken-10"],
+        "zip": [["tasks", "teachers"]],
+    }
+    plan = make_plan(made(grid), seeds="1")
+    assert [(j.task, j.method, j.teacher) for j in plan.jobs] == [
+        ("toy-car", "pebble", "oracle"),
+        ("toy-car", "rrm-zero", "oracle"),
+        ("walker-walk", "pebble", "mistaken-10"),
+        ("walker-walk", "rrm-zero", "mistaken-10"),
+    ]
+    assert plan.jobs[2].config.teacher is not None
+    assert plan.jobs[2].config.teacher.mistake == 0.1
+    error = refused(made({**grid, "tasks": ["toy-car"]}))
+    assert "there are 1 tasks, 2 teachers" in str(error)
+
+
+def test_include_and_exclude() -> None:
+    """Partial matches take rows out; an include adds rows for every value of the axes it leaves open."""
+    grid = {
+        "tasks": ["toy-car", "button-press"],
+        "methods": ["oracle", "pebble"],
+        "exclude": [{"task": "toy-car", "method": "pebble"}],
+        "include": [{"method": "rrm-zero", "set": {"agent": {"batch": 9}}}],
+    }
+    plan = make_plan(made(grid), seeds="1")
+    assert [(j.task, j.method) for j in plan.jobs] == [
+        ("toy-car", "oracle"),
+        ("button-press", "oracle"),
+        ("button-press", "pebble"),
+        ("toy-car", "rrm-zero"),
+        ("button-press", "rrm-zero"),
+    ]
+    assert [j.config.agent.batch for j in plan.jobs] == [64, 512, 512, 9, 9]
+    assert 'exclude {method = "peble"}: no row' in str(refused(made({**GRID, "exclude": [{"method": "peble"}]})))
+    everything = [{"method": "oracle"}, {"method": "pebble"}]
+    assert "leaves no row" in str(refused(made({**GRID, "exclude": everything})))
+
+
+def test_equal_runs_are_one_job() -> None:
+    """What a teacher would say changes nothing where nobody asks: one oracle run for all teachers."""
+    plan = make_plan(made({**GRID, "teachers": ["oracle", "mistaken-10", "stochastic"]}), seeds="1")
+    assert [(j.method, j.teacher) for j in plan.jobs] == [
+        ("oracle", "-"),
+        ("pebble", "oracle"),
+        ("pebble", "mistaken-10"),
+        ("pebble", "stochastic"),
+    ]
+
+
+def test_own_teachers_and_schedules() -> None:
+    """A manifest defines teachers and feedback schedules; a label names a schedule that sets more than amounts."""
+    experiment = made(
+        {**GRID, "methods": ["pebble"], "teachers": ["tired"], "feedback": ["default", "random"]},
+        teacher={"tired": {"mistake": 0.25, "beta": 2}},
+        feedback={"random": {"sampler": "uniform"}},
+    )
+    plan = make_plan(experiment, seeds="1")
+    assert [job.feedback for job in plan.jobs] == ["20@500/400", "20@500/400 random"]
+    assert plan.jobs[0].config.teacher is not None
+    assert (plan.jobs[0].config.teacher.mistake, plan.jobs[0].config.teacher.beta) == (0.25, 2.0)
+
+
+def test_two_meanings_of_one_name_are_refused() -> None:
+    """Two different runs under the same names could not be told apart in a report."""
+    error = refused(made({**GRID, "include": [{"method": "pebble", "set": {"agent": {"batch": 7}}}]}))
+    assert "two different runs are both called toy-car / pebble / oracle / 20@500/400" in str(error)
+
+
+def test_users_files(tmp_path: Path) -> None:
+    """A user's file is found beside its manifest, enters the identity by content, and may move."""
+    table = {
+        "title": "T", "reproduces": ["F"], "rule": "R", "seeds": 1,
+        "grid": {"tasks": ["toy-car"], "methods": ["mine"]}, "method": {"mine": {"prior": "p.py:f"}},
+    }  # fmt: skip
+    ids = []
+    for folder, text in (("a", "def f(): ..."), ("b", "def f(): ..."), ("c", "def f(): return 1")):
+        (tmp_path / folder).mkdir()
+        (tmp_path / folder / "p.py").write_text(text)
+        plan = make_plan(manifest.parse(table, tmp_path / folder / "m.toml"))
+        assert plan.jobs[0].config.reward.prior == f"{tmp_path / folder / 'p.py'}:f"
+        assert plan.jobs[0].config.reward.prior_digest is not None
+        ids.append(plan.jobs[0].id)
+    assert ids[0] == ids[1] != ids[2]
+    error = refused(manifest.parse(table, tmp_path / "m.toml"))
+    assert "m.toml [method.mine]: prior 'p.py:f': there is no file" in str(error)
+
+
+def test_prior_option(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """--prior adds the residual method on a named prior or a user's file, whatever methods are picked."""
+    (tmp_path / "closer.py").write_text("def f(): ...")
+    monkeypatch.chdir(tmp_path)
+    plan = make_plan(made(), methods=["oracle"], seeds="1", priors=["zero", "closer.py:f"])
+    assert [job.method for job in plan.jobs] == ["oracle", "rrm-zero", "rrm-closer"]
+    assert len(make_plan(made(), seeds="1", priors=["zero", "zero"]).jobs) == 3
+    (tmp_path / "zero.py").write_text("def f(): ...")
+    assert "rrm-zero already stands for" in str(refused(made(), priors=["zero", "zero.py:f"]))
+    assert 'did you mean "zero"' in str(refused(made(), priors=["zer"]))
+    assert "no file" in str(refused(made(), priors=["absent.py:f"]))
+
+
+def test_filters() -> None:
+    """--tasks and --methods pick from what the manifest has, and suggest what is near."""
+    assert [job.method for job in make_plan(made(), methods=["pebble"], seeds="1").jobs] == ["pebble"]
+    assert 'mine has no method "peble"; did you mean "pebble"?' in str(refused(made(), methods=["peble"]))
+    assert 'mine has no task "toy"' in str(refused(made(), tasks=["toy"]))
+    assert "--tasks names nothing" in str(refused(made(), tasks=[]))
+
+
+@pytest.mark.parametrize(
+    ("sections", "said"),
+    [
+        ({"grid": {**GRID, "tasks": ["toy-cat"]}}, 'mine.toml: unknown task "toy-cat"; did you mean "toy-car"?'),
+        ({"grid": {**GRID, "methods": ["peble"]}}, 'mine.toml: unknown method "peble"; did you mean "pebble"?'),
+        ({"grid": {**GRID, "methods": ["rrm-prox"]}}, 'unknown method "rrm-prox"; did you mean "rrm-proxy"?'),
+        ({"grid": {**GRID, "teachers": ["oracel"]}}, 'unknown teacher "oracel"; did you mean "oracle"?'),
+        ({"grid": {**GRID, "feedback": ["rare"]}}, 'unknown feedback schedule "rare"'),
+        ({"task": {"toy-cat": {}}}, "[task.toy-cat]: the grid has no task of this name; did you mean"),
+        ({"method": {"rrm-zero": {}}}, "[method.rrm-zero]: the grid has no method"),
+        ({"profile": {"smok": {}}}, 'unknown profile "smok"; did you mean "smoke"?'),
+        ({"default_profile": "papper"}, 'unknown profile "papper"; did you mean "paper"?'),
+        ({"defaults": {"stps": 5}}, '[defaults]: unknown key "stps"; did you mean "steps"?'),
+        ({"defaults": {"batch": 5}}, '[defaults]: unknown key "batch"; did you mean "agent.batch"?'),
+        ({"defaults": {"agent": 5}}, "[defaults]: agent must be a table, got 5"),
+        ({"defaults": {"agent": {"batch": "big"}}}, "[defaults]: agent.batch = 'big': Input should be a valid integer"),
+        ({"defaults": {"agent": {"batch": 0}}}, "[defaults]: agent.batch = 0: Input should be greater than"),
+        ({"defaults": {"seed": 3}}, "[defaults]: seed cannot be set here"),
+        ({"defaults": {"steps": 10**30}}, "is too large"),
+        ({"defaults": {"reward": {"options": {"x": float("nan")}}}}, "only text, finite numbers"),
+        ({"teacher": {"oracle": {"mistke": 0.1}}}, '[teacher.oracle]: unknown key "teacher.mistke"; did you mean'),
+        ({"profile": {"paper": {"agent": {"batc": 1}}}}, '[profile.paper]: unknown key "agent.batc"'),
+        ({"method": {"pebble": {"learner": "peble"}}}, '[method.pebble]: unknown learner "peble"; did you mean'),
+        ({"method": {"pebble": {"prior": "prox"}}}, '[method.pebble]: unknown prior "prox"; did you mean "proxy"?'),
+        ({"method": {"pebble": {"learner": "prior"}}}, "trains on a prior alone"),
+        ({"method": {"pebble": {"learner": "true", "prior": "zero"}}}, "takes no prior"),
+        ({"seeds": []}, "mine.toml: seeds: the list of seeds is empty"),
+        ({"seeds": [1, 1]}, "seed 1 is given twice"),
+    ],
+)
+def test_mistakes_are_traced(sections: dict[str, Any], said: str) -> None:
+    """A mistake is answered with file, section and key, and the nearest name that would do."""
+    assert said in str(refused(made(**sections)))
+
+
+@pytest.mark.parametrize(
+    ("settings", "said", "source"),
+    [
+        ({"feedback": {"segment": 101}}, "feedback.segment: 101 steps do not fit", "mine.toml [defaults]"),
+        ({"steps": 1500}, "before the first feedback", "mine.toml [defaults]"),
+        ({"horizon": 5000}, "longer than toy-car's episode", "mine.toml [defaults]"),
+    ],
+)
+def test_budgets_that_cannot_be_met(settings: dict[str, Any], said: str, source: str) -> None:
+    """Settings that contradict one another are refused with the section that the culprit comes from."""
+    error = refused(made(defaults=settings))
+    assert said in str(error)
+    assert "toy-car, " in str(error)
+    assert source in str(error.hint)
+
+
+def test_features_a_prior_needs() -> None:
+    """A prior that reads what a task does not reveal is refused when planning."""
+    assert "does not reveal" in str(refused(made({"tasks": ["walker-walk"], "methods": ["rrm-h2o"]})))
+
+
+@pytest.mark.parametrize(
+    ("given", "expected"),
+    [("3", [0, 1, 2]), ("0,3,7", [0, 3, 7]), ("4,", [4]), (2, [0, 1]), ((5, 6), [5, 6]), (" 1 , 2 ", [1, 2])],
+)
+def test_seeds(given: Any, expected: list[int]) -> None:
+    """A number counts from 0, a list is taken as it is."""
+    assert parse_seeds(given, "--seeds") == expected
+
+
+@pytest.mark.parametrize(
+    "given", ["", "0", "-1", "1,1", "1,-2", "a", "1.5", ",", "1,,2", "9" * 30, "99999999", "²", 0, []]
+)
+def test_bad_seeds(given: Any) -> None:
+    """No seeds, duplicates, negatives and nonsense are refused with an example of what would do."""
+    with pytest.raises(UserError) as caught:
+        parse_seeds(given, "--seeds")
+    assert "0,3,7" in str(caught.value.hint)
+
+
+@pytest.mark.parametrize(
+    ("text", "key", "value"),
+    [
+        ("agent.batch=64", "agent.batch", 64),
+        ("steps=2e4", "steps", 20_000),
+        ("agent.tau = 0.5", "agent.tau", 0.5),
+        ("feedback.sampler=kcenter-entropy", "feedback.sampler", "kcenter-entropy"),
+        ('evaluation.success="last"', "evaluation.success", "last"),
+        ("reward.options={b=false}", "reward.options", {"b": False}),
+        ("reward.options={a=[1, 2]}", "reward.options", {"a": [1, 2]}),
+    ],
+)
+def test_overrides(text: str, key: str, value: Any) -> None:
+    """--set takes TOML values, bare words, and whole numbers in any spelling."""
+    assert make_plan(made(), overrides=[text]).overrides == {key: value}
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("batch=3", 'unknown setting "batch"; did you mean "agent.batch"?'),
+        ("agent.btch=3", 'did you mean "agent.batch"?'),
+        ("agent.batch", "expected KEY=VALUE"),
+        ("=3", "expected KEY=VALUE"),
+        ("agent.batch=[", "not a TOML value"),
+        ("agent.batch=1\nsteps=2", "not a TOML value"),
+        ("agent.batch=1.5", "agent.batch = 1.5"),
+        ("agent=3", "unknown setting"),
+        ("profile=paper", "--profile"),
+        ("reward.prior=zero", "--prior"),
+        ("feedback.sampler=best", "feedback.sampler = 'best'"),
+    ],
+)
+def test_bad_overrides(text: str, said: str) -> None:
+    """An unknown key, a wrong type, or what another option decides is refused."""
+    assert said in str(refused(made(), overrides=[text]))
+
+
+def test_variants() -> None:
+    """Profile and overrides name the variant; the order of overrides does not matter."""
+    assert make_plan(made()).variant == "paper"
+    one, two = {"steps": 5000, "agent.batch": 32}, {"agent.batch": 32, "steps": 5000}
+    assert variant("smoke", one) == variant("smoke", two) == make_plan(made(), profile="smoke", overrides=one).variant
+    assert len({variant("smoke", {}), variant("paper", {}), variant("smoke", one), variant("smoke", {"steps": 1})}) == 4
+
+
+def test_profile_is_part_of_a_run() -> None:
+    """The same task at two scales is two runs even where no number differs."""
+    assert not {job.id for job in make_plan(made()).jobs} & {job.id for job in make_plan(made(), profile="laptop").jobs}
+
+
+@pytest.mark.parametrize("scale", sorted(profiles()))
+@pytest.mark.parametrize("path", sorted(EXPERIMENTS.glob("*.toml")), ids=lambda path: path.stem)
+def test_every_experiment_plans(path: Path, scale: str) -> None:
+    """Every manifest in experiments/ makes a plan at every profile, with feedback wherever a reward is learned."""
+    plan = make_plan(manifest.load(path), profile=scale)
+    assert plan.jobs
+    for job in plan.jobs:
+        assert (job.config.sessions() > 0) == job.config.reward.is_learned
+
+
+def test_smoke_passes_through_everything() -> None:
+    """At smoke scale there are several sessions, an unsupervised phase for PEBBLE, and evaluations before the end."""
+    for job in make_plan(manifest.load(EXPERIMENTS / "main-results.toml"), profile="smoke", seeds="1").jobs:
+        config = job.config
+        assert config.steps <= 1000
+        assert config.steps // config.evaluation.every >= 2
+        assert config.sessions() >= 3 or job.method == "oracle"
+        assert (config.exploration.unsupervised_steps > 0) == (job.method == "pebble")
+
+
+NAMES = st.sampled_from(
+    ["toy-car", "button-press", "walker-walk", "oracle", "pebble", "rrm-zero", "sac-h2o", "none", "x"]
+)
+VALUES = st.one_of(
+    st.integers(-2, 10**6),
+    st.integers(),
+    st.floats(),
+    st.booleans(),
+    st.text(max_size=5),
+    st.lists(st.integers(), max_size=2),
+)
+TREES = st.dictionaries(
+    st.sampled_from(["steps", "agent", "feedback", "horizon", "reward", "batch", "oddity"]),
+    VALUES
+    | st.dictionaries(st.sampled_from(["batch", "segment", "every", "options", "lr", "hidden"]), VALUES, max_size=3),
+    max_size=3,
+)
+AXIS = st.lists(NAMES, min_size=1, max_size=2, unique=True)
+GRIDS = st.fixed_dictionaries(
+    {"tasks": AXIS, "methods": AXIS},
+    optional={
+        "teachers": st.lists(st.sampled_from(["oracle", "mistaken-10", "x"]), max_size=2),
+        "feedback": st.lists(st.sampled_from(["default", "x"]), max_size=2),
+        "zip": st.just([["tasks", "methods"]]),
+        "exclude": st.lists(st.fixed_dictionaries({"task": NAMES}), max_size=1),
+        "include": st.lists(st.fixed_dictionaries({"method": NAMES}, optional={"set": TREES}), max_size=1),
+        "set": TREES,
+    },
+)
+SECTIONS = st.dictionaries(st.sampled_from(["defaults"]), TREES) | st.dictionaries(
+    st.sampled_from(["task", "method", "teacher", "feedback", "profile"]),
+    st.dictionaries(NAMES, TREES, max_size=1),
+    max_size=2,
+)
+
+
+@given(
+    GRIDS,
+    SECTIONS,
+    st.none() | st.sampled_from(["paper", "smoke", "laptop", "x"]),
+    st.none() | st.text("0123,-", max_size=6),
+    st.dictionaries(st.sampled_from([*known_settings(), "x"]), VALUES, max_size=2),
+)
+@settings(max_examples=200, deadline=None)
+def test_any_manifest_plans_or_is_refused(
+    grid: dict[str, Any], sections: dict[str, Any], scale: str | None, seeds: str | None, overrides: dict[str, Any]
+) -> None:
+    """Whatever is asked for, the answer is a plan of distinct runs or a `UserError`."""
+    try:
+        plan = make_plan(made(grid, **sections), profile=scale, seeds=seeds, overrides=overrides)
+    except UserError:
+        return
+    assert len({job.id for job in plan.jobs}) == len(plan.jobs) > 0
+
+
+@given(st.text(max_size=20))
+@settings(max_examples=100, deadline=None)
+def test_any_seed_text_is_read_or_refused(text: str) -> None:
+    """Whatever is typed after --seeds, the answer is distinct seeds or a `UserError`."""
+    try:
+        seeds = parse_seeds(text, "--seeds")
+    except UserError:
+        return
+    assert len(set(seeds)) == len(seeds) > 0
+    assert min(seeds) >= 0
+
+
+@given(st.sampled_from(known_settings()), st.text(max_size=12))
+@settings(max_examples=150, deadline=None)
+def test_any_override_text_is_read_or_refused(key: str, text: str) -> None:
+    """Whatever is typed after --set KEY=, the answer is a plan or a `UserError`."""
+    try:
+        plan = make_plan(made(), seeds="1", overrides=[f"{key}={text}"])
+    except UserError:
+        return
+    assert list(plan.overrides) == [key]
