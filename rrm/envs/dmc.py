@@ -80,7 +80,7 @@ class DmcEnv(TaskEnv):
     def _restore(self, state: State) -> None:
         self.sim.reset()
         physics = self.sim.physics
-        mujoco.mj_setState(physics.model.ptr, physics.data.ptr, state["physics"], _SPEC)
+        mujoco.mj_setState(physics.model.ptr, physics.data.ptr, np.asarray(state["physics"], dtype=np.float64), _SPEC)
         # The suite finishes a step with the first half of the next (positions and velocities), which must be redone.
         mujoco.mj_step1(physics.model.ptr, physics.data.ptr)
         self.sim._step_count = int(state["step_count"])

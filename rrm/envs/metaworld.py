@@ -89,9 +89,10 @@ class MetaWorldEnv(TaskEnv):
         # The reset rebuilds what is not in MuJoCo's state: moved bodies and sites of the model, the goal, the margins
         # of the reward, and attributes that are live views into the simulation (copies would change the reward).
         self._start(np.array(state["vector"], dtype=np.float64))
-        mujoco.mj_setState(sim.model, sim.data, state["physics"], _SPEC)
+        physics = np.asarray(state["physics"], dtype=np.float64)
+        mujoco.mj_setState(sim.model, sim.data, physics, _SPEC)
         mujoco.mj_forward(sim.model, sim.data)
-        mujoco.mj_setState(sim.model, sim.data, state["physics"], _SPEC)  # forward overwrote the warm start
+        mujoco.mj_setState(sim.model, sim.data, physics, _SPEC)  # forward overwrote the warm start
         sim._prev_obs = np.array(state["previous_obs"], dtype=np.float64)
         sim.curr_path_length = int(state["path_length"])
 

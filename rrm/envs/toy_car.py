@@ -115,9 +115,9 @@ def draw(rng: np.random.Generator) -> tuple[Layout, Point]:
     turn, spread, away, off = rng.uniform((-math.pi, -0.3, 1.75, 1.75), (math.pi, 0.3, 2.0, 2.0)).tolist()
     start = (-away * math.cos(turn), -away * math.sin(turn))
     goal = (off * math.cos(turn + spread), off * math.sin(turn + spread))
-    # Along the way from start (0) to goal (1), and metres to its left; all are 1.2 m or more from both.
+    # Along the way from start (0) to goal (1), and metres to its left: 1.2 m or more from both, 0.75 m from each other.
     along = rng.uniform(0.35, 0.65, size=3).tolist()
-    aside = rng.uniform((-0.25, 0.9, -1.3), (0.25, 1.3, -0.9)).tolist()
+    aside = rng.uniform((-0.25, 1.0, -1.4), (0.25, 1.4, -1.0)).tolist()
     first, second, third = (_beside(start, goal, t, s) for t, s in zip(along, aside, strict=True))
     return Layout(goal, (first, second, third)), start
 

@@ -49,7 +49,7 @@ def _number(value: Any) -> float | None:
 def _shown(value: Any) -> str:
     shape = getattr(value, "shape", None)
     described = type(value).__name__ if shape is None else f"{type(value).__name__} of shape {tuple(shape)}"
-    text = repr(value)
+    text = " ".join(repr(value).split())  # arrays are printed over several lines
     return f"{text if len(text) <= 60 else text[:57] + '...'} ({described})"
 
 
