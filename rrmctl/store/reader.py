@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import os
 from collections.abc import Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -11,9 +12,10 @@ from typing import TYPE_CHECKING, Any
 
 from rrmctl.errors import UserError
 from rrmctl.store.atomic import DamagedError, is_locked, read_json
+from rrmctl.store.curve import decode
 from rrmctl.store.layout import Layout, RunFolder
 from rrmctl.store.records import ErrorKind, JobRecord, RunError, State, Status, SweepRecord, read_status, read_sweeps
-from rrmctl.store.schema import IDENTITY, LABELS, MEASURED, SCHEMA_VERSION, VERSION_KEY, curve_schema
+from rrmctl.store.schema import IDENTITY, LABELS, MEASURED, curve_schema
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -52,15 +54,22 @@ def read_config(folder: RunFolder) -> dict[str, Any]:
     return config
 
 
+def log_tail(folder: RunFolder, lines: int = 15) -> list[str]:
+    """The last lines of a run's log; none where it has not started."""
+    try:
+        with folder.log.open("rb") as file:
+            file.seek(max(0, file.seek(0, os.SEEK_END) - 400 * lines))
+            return file.read().decode(errors="replace").splitlines()[-lines:]
+    except FileNotFoundError:
+        return []
+
+
 def read_curve(folder: RunFolder) -> pa.Table | None:
     """The run's curve as an arrow table; None before its first evaluation.
 
     Raises:
         DamagedError: the file is not an intact curve of this schema version.
     """
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
     path = folder.curve
     try:
         # In one read: the file may be replaced by its successor at any moment, and this one stays what it was.
@@ -69,20 +78,7 @@ def read_curve(folder: RunFolder) -> pa.Table | None:
         return None
     except OSError as error:
         raise DamagedError(f"{path} cannot be read: {error.strerror}", "check its permissions") from error
-    try:
-        file = pq.ParquetFile(pa.BufferReader(data), page_checksum_verification=True)
-        version = (file.schema_arrow.metadata or {}).get(VERSION_KEY, b"none").decode()
-        table = file.read()
-    except (pa.ArrowException, OSError, ValueError) as error:
-        raise DamagedError(f"{path} is damaged: {error}", _AGAIN) from error
-    if version != str(SCHEMA_VERSION):
-        raise DamagedError(f"{path} is of schema version {version}, this program reads {SCHEMA_VERSION}", _AGAIN)
-    if not table.schema.equals(curve_schema()):
-        raise DamagedError(f"{path} is damaged: its columns are not those of a curve", _AGAIN)
-    return table
-
-
-_AGAIN = "bring back a copy, or train the run again with --force"
+    return decode(data, path)
 
 
 def load(results: str | Path = "results", experiment: str | None = None) -> pd.DataFrame:

@@ -154,7 +154,12 @@ class JobRecord:
     @property
     def label(self) -> str:
         """For people: task, method, teacher and feedback where they say something, seed."""
-        words = [self.task, self.method, *(w for w in (self.teacher, self.feedback) if w), f"seed {self.seed}"]
+        words = [
+            self.task,
+            self.method,
+            *(w for w in (self.teacher, self.feedback) if w not in ("", "-")),
+            f"seed {self.seed}",
+        ]
         return " ".join(words)
 
 

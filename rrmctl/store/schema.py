@@ -17,6 +17,9 @@ SCHEMA_VERSION = 1
 #: Key of the version in a parquet file's metadata.
 VERSION_KEY = b"rrmctl.schema_version"
 
+#: Key of the checksum over all values.
+CHECKSUM_KEY = b"rrmctl.crc32"
+
 #: What a row belongs to, with arrow types.
 IDENTITY = {
     "run": "string",  # the run's identity, sixteen hex digits

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from rrmctl.store.atomic import DamagedError, set_aside, write_bytes
+from rrmctl.store.curve import encode
 from rrmctl.store.layout import RunFolder
 from rrmctl.store.reader import read_curve
-from rrmctl.store.schema import IDENTITY, MEASURED, curve_schema
-
-if TYPE_CHECKING:
-    import pyarrow as pa
+from rrmctl.store.schema import IDENTITY, MEASURED
 
 
 class CurveWriter:
@@ -68,18 +66,3 @@ class CurveWriter:
         assert table is not None
         rows: list[dict[str, Any]] = table.select(list(MEASURED)).to_pylist()
         return rows
-
-
-def encode(rows: list[dict[str, Any]]) -> bytes:
-    """Rows (every column of the curve) as a parquet file whose pages carry checksums."""
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
-    table: pa.Table = pa.Table.from_pylist(rows, schema=curve_schema())
-    sink = pa.BufferOutputStream()
-    pq.write_table(table, sink, compression="zstd", write_page_checksum=True, use_dictionary=list(_REPEATED))
-    data: bytes = sink.getvalue().to_pybytes()
-    return data
-
-
-_REPEATED = tuple(name for name, kind in IDENTITY.items() if kind == "string")

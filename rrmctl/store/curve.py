@@ -1,0 +1,70 @@
+"""`curve.parquet` as bytes: written with a checksum over its content, and refused where the two do not fit."""
+
+from __future__ import annotations
+
+import zlib
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from rrmctl.store.atomic import DamagedError
+from rrmctl.store.schema import CHECKSUM_KEY, IDENTITY, SCHEMA_VERSION, VERSION_KEY, curve_schema
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+_AGAIN = "bring back a copy, or train the run again with --force"
+_TEXTS = [name for name, kind in IDENTITY.items() if kind == "string"]
+
+
+def encode(rows: list[dict[str, Any]]) -> bytes:
+    """Rows, each with every column of the curve, as a parquet file."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    schema = curve_schema()
+    table: pa.Table = pa.Table.from_pylist(rows, schema=schema)
+    metadata = {**schema.metadata, CHECKSUM_KEY: _checksum(table)}
+    sink = pa.BufferOutputStream()
+    pq.write_table(
+        table.replace_schema_metadata(metadata),
+        sink,
+        compression="zstd",
+        write_page_checksum=True,
+        use_dictionary=_TEXTS,
+    )
+    data: bytes = sink.getvalue().to_pybytes()
+    return data
+
+
+def decode(data: bytes, path: Path) -> pa.Table:
+    """The table in a parquet file of this name.
+
+    Raises:
+        DamagedError: it is not an intact curve of this schema version.
+    """
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    try:
+        file = pq.ParquetFile(pa.BufferReader(data), page_checksum_verification=True)
+        metadata = file.schema_arrow.metadata or {}
+        version = metadata.get(VERSION_KEY, b"none").decode()
+        table: pa.Table = file.read()
+    except (pa.ArrowException, OSError, ValueError) as error:
+        raise DamagedError(f"{path} is damaged: {error}", _AGAIN) from error
+    if version != str(SCHEMA_VERSION):
+        raise DamagedError(f"{path} is of schema version {version}, this program reads {SCHEMA_VERSION}", _AGAIN)
+    if not table.schema.equals(curve_schema()):
+        raise DamagedError(f"{path} is damaged: its columns are not those of a curve", _AGAIN)
+    if metadata.get(CHECKSUM_KEY) != _checksum(table):
+        raise DamagedError(f"{path} is damaged: its content does not match its checksum", _AGAIN)
+    return table
+
+
+def _checksum(table: pa.Table) -> bytes:
+    """CRC-32 over all values, whatever the file's layout: pages have checksums of their own, its footer has none."""
+    crc = 0
+    for name, column in zip(table.column_names, table.columns, strict=True):
+        values = "\0".join(column.to_pylist()).encode() if name in _TEXTS else column.to_numpy().tobytes()
+        crc = zlib.crc32(values, crc)
+    return f"{crc:08x}".encode()
