@@ -106,7 +106,7 @@ def mean_entropy(probability: npt.NDArray[np.float32]) -> npt.NDArray[np.float32
 
 def _states(experience: Experience, pairs: Rows, config: FeedbackConfig) -> npt.NDArray[np.float32]:
     obs = experience.segments(torch.from_numpy(pairs), config.segment).obs
-    return obs.reshape(len(pairs), -1).numpy()
+    return obs.flatten(1).numpy()
 
 
 def _kcenter(points: npt.NDArray[np.float32], centers: npt.NDArray[np.float32], count: int) -> npt.NDArray[np.int64]:

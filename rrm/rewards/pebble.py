@@ -6,6 +6,8 @@ pairs called equal are left out of the accuracy, and the loss always accepts the
 
 from __future__ import annotations
 
+import copy
+
 import numpy as np
 import torch
 from torch import Tensor
@@ -68,7 +70,7 @@ class Pebble:
         return False
 
     def state_dict(self) -> State:
-        return {"reward": self.reward.state_dict(), "optimizer": self._optimizer.state_dict()["state"]}
+        return {"reward": self.reward.state_dict(), "optimizer": copy.deepcopy(self._optimizer.state_dict()["state"])}
 
     def load_state_dict(self, state: State) -> None:
         self.reward.load_state_dict(state["reward"])

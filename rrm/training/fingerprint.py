@@ -7,7 +7,8 @@ from importlib.metadata import version
 
 import numpy as np
 
-from rrm.envs import make, task
+from rrm.envs import make
+from rrm.training.config import RunConfig
 
 _PACKAGES = {
     "metaworld": ("metaworld", "mujoco", "gymnasium"),
@@ -17,13 +18,13 @@ _PACKAGES = {
 _STEPS = 50
 
 
-def fingerprint(task_name: str) -> dict[str, str]:
-    """Versions of what the task is made of, and `true_reward`: a digest of its rewards along a fixed random walk.
+def fingerprint(config: RunConfig) -> dict[str, str]:
+    """Versions of what the run's task is made of, and `true_reward`: a digest of its rewards along a fixed random walk.
 
     Rewards are rounded to six digits, so that machines that differ in the last bits agree.
     """
-    names = (*_PACKAGES[task(task_name).suite], "numpy", "torch")
-    return {name: version(name) for name in names} | {"true_reward": _reward_digest(task_name)}
+    names = (*_PACKAGES[config.spec().suite], "numpy", "torch")
+    return {name: version(name) for name in names} | {"true_reward": _reward_digest(config.task)}
 
 
 def _reward_digest(task_name: str) -> str:

@@ -13,8 +13,11 @@ import torch
 from rrm.checkpoint import KEPT, Checkpoints, encode
 from rrm.files import write_atomically
 from rrm.training.config import RunConfig
+from rrm.training.fingerprint import fingerprint
 from rrm.training.loop import Trainer
 from rrm.types import EvalRow, State
+
+__all__ = ["Monitor", "fingerprint", "train"]
 
 _BEAT_S = 0.25
 

@@ -1,0 +1,162 @@
+"""Reward functions and PEBBLE's fit."""
+
+import numpy as np
+import pytest
+import torch
+
+from rrm.config import RewardConfig
+from rrm.losses import preference_loss
+from rrm.rewards.ensemble import EnsembleReward
+from rrm.rewards.pebble import Pebble
+from rrm.rewards.residual import ResidualReward
+from rrm.types import Segments
+
+CONFIG = RewardConfig(hidden=32, layers=2, lr=3e-3, epochs=60, minibatch=16)
+
+
+def reward(kind, config=CONFIG, seed=0):
+    return kind(config, 3, 2, torch.Generator().manual_seed(seed))
+
+
+def steps(batch, length, prior=0.0, seed=0):
+    generator = torch.Generator().manual_seed(seed)
+    draw = lambda width: torch.randn(batch, length, width, generator=generator)  # noqa: E731
+    return Segments(draw(3), draw(2), torch.full((batch, length), prior))
+
+
+class Labels:
+    """Labelled pairs held as tensors; the second is preferred where the first observation's sum is larger."""
+
+    def __init__(self, count, *, worth=lambda s: s.obs[..., 0], prior=None, tie_every=0):
+        self.first, self.second = steps(count, 5, seed=1), steps(count, 5, seed=2)
+        if prior is not None:
+            self.first, self.second = (s._replace(prior=prior(s)) for s in (self.first, self.second))
+        self.target = (worth(self.second).sum(-1) > worth(self.first).sum(-1)).float()
+        if tie_every:
+            self.target[::tie_every] = 0.5
+
+    def __len__(self):
+        return len(self.target)
+
+    def pairs(self, index):
+        take = lambda s: Segments(*(field[index] for field in s))  # noqa: E731
+        return take(self.first), take(self.second), self.target[index]
+
+
+def test_members_are_bounded_and_differ():
+    """Every member's reward lies in (-1, 1), and the members are independent networks."""
+    values = reward(EnsembleReward).members(steps(4, 6))
+    assert values.shape == (3, 4, 6)
+    assert values.abs().max() < 1
+    assert not torch.allclose(values[0], values[1])
+
+
+def test_predict_is_the_mean_over_members():
+    """One step's reward is the mean of what the members say."""
+    model, segments = reward(ResidualReward), steps(1, 7, prior=0.3)
+    wanted = model.members(segments).mean(0)[0]
+    torch.testing.assert_close(wanted, model.predict(segments.obs[0], segments.act[0], segments.prior[0]))
+
+
+def test_the_residual_is_added_to_the_prior():
+    """The reward stays within 1 of the prior, wherever the prior is."""
+    model = reward(ResidualReward)
+    for prior in (-4.0, 0.0, 10.0):
+        values = model.members(steps(4, 6, prior=prior))
+        assert ((values - prior).abs() < 1).all()
+
+
+def test_the_residual_sees_the_prior():
+    """With state and action fixed, another prior gives another residual."""
+    model, segments = reward(ResidualReward), steps(4, 6, prior=0.2)
+    other = segments._replace(prior=torch.full((4, 6), -0.7))
+    residuals = [model.members(s) - s.prior for s in (segments, other)]
+    assert not torch.allclose(*residuals, atol=1e-3)
+
+
+def test_without_a_prior_the_column_is_not_looked_at():
+    """A plain ensemble gives the same reward whatever the prior column holds."""
+    model, segments = reward(EnsembleReward), steps(4, 6)
+    assert torch.equal(model.members(segments), model.members(segments._replace(prior=torch.ones(4, 6))))
+
+
+def test_members_of_their_own_batches_are_the_members_on_each():
+    """[N, B, T] inputs give member i what it would say of batch i."""
+    model, parts = reward(ResidualReward), [steps(4, 5, seed=i) for i in range(3)]
+    together = model.members(Segments(*(torch.stack(field) for field in zip(*parts, strict=True))))
+    for i, part in enumerate(parts):
+        torch.testing.assert_close(model.members(part)[i], together[i])
+
+
+def held_out_accuracy(learner, labels):
+    logit = (learner.reward.members(labels.second) - learner.reward.members(labels.first)).sum(-1).mean(0)
+    return float(((logit > 0) == (labels.target > 0.5)).float().mean())
+
+
+@pytest.mark.parametrize("kind", [EnsembleReward, ResidualReward])
+def test_it_learns_the_ranking(kind):
+    """After a session, segments are ranked as the teacher ranks them, and the fit says how well."""
+    labels = Labels(200)
+    learner = Pebble(reward(kind), CONFIG, np.random.default_rng(0))
+    before = held_out_accuracy(learner, labels)
+    metrics = learner.fit(labels)
+    assert metrics["label_accuracy"] > 0.97
+    assert held_out_accuracy(learner, labels) > max(0.95, before)
+
+
+def test_a_residual_cancels_an_opposite_prior():
+    """Given the negated reward as prior, the sum ends up ranking correctly: it needs the prior among its inputs."""
+    opposite = lambda s: -torch.tanh(s.obs[..., 0])  # noqa: E731
+    labels = Labels(300, worth=lambda s: torch.tanh(s.obs[..., 0]), prior=opposite)
+    learner = Pebble(reward(ResidualReward), CONFIG, np.random.default_rng(0))
+    assert held_out_accuracy(learner, labels) < 0.3
+    learner.fit(labels)
+    assert held_out_accuracy(learner, labels) > 0.9
+
+
+def test_fitting_stops_once_the_labels_are_learned():
+    """The epoch whose accuracy exceeds the target is the last; without a target all epochs run."""
+    learner = Pebble(reward(EnsembleReward), CONFIG, np.random.default_rng(0))
+    assert learner.fit(Labels(100))["epochs"] < 60
+    endless = CONFIG.model_copy(update={"target_accuracy": 1.0, "epochs": 7})
+    assert Pebble(reward(EnsembleReward), endless, np.random.default_rng(0)).fit(Labels(100))["epochs"] == 7
+
+
+def test_ties_count_in_the_loss_and_not_in_the_accuracy():
+    """All pairs equal: no accuracy, a loss of at least ln 2 a member, and the reward still trains."""
+    labels = Labels(32)
+    labels.target[:] = 0.5
+    config = CONFIG.model_copy(update={"epochs": 2})
+    metrics = Pebble(reward(EnsembleReward), config, np.random.default_rng(0)).fit(labels)
+    assert np.isnan(metrics["label_accuracy"])
+    assert metrics["reward_loss"] >= 3 * np.log(2) - 1e-4
+    mixed = Pebble(reward(EnsembleReward), CONFIG, np.random.default_rng(0)).fit(Labels(200, tie_every=4))
+    assert mixed["label_accuracy"] > 0.97
+
+
+def test_one_step_is_adam_on_the_bradley_terry_loss():
+    """One minibatch moves the weights as torch's Adam does on the mean cross-entropy of each member."""
+    config = CONFIG.model_copy(update={"epochs": 1, "minibatch": 64})
+    labels = Labels(20)
+    learner, plain = Pebble(reward(ResidualReward), config, np.random.default_rng(0)), reward(ResidualReward)
+    learner.fit(labels)
+    optimizer = torch.optim.Adam(plain.parameters(), lr=config.lr)
+    logits = (plain.members(labels.second) - plain.members(labels.first)).sum(-1)
+    preference_loss(logits, labels.target).backward()
+    optimizer.step()
+    for mine, theirs in zip(learner.reward.parameters(), plain.parameters(), strict=True):
+        torch.testing.assert_close(mine, theirs, atol=2e-5, rtol=0)
+
+
+def test_a_restored_learner_continues_bit_for_bit():
+    """Weights and moments are the state; the next session is the same."""
+    labels = Labels(50)
+    one = Pebble(reward(EnsembleReward), CONFIG, np.random.default_rng(0))
+    one.fit(labels)
+    two = Pebble(reward(EnsembleReward, seed=9), CONFIG, np.random.default_rng(5))
+    two.load_state_dict(one.state_dict())
+    for learner in (one, two):
+        learner._rng = np.random.default_rng(1)
+        learner.fit(labels)
+    for a, b in zip(one.reward.parameters(), two.reward.parameters(), strict=True):
+        assert torch.equal(a, b)

@@ -1,0 +1,147 @@
+"""Checkpoints: exact, atomic, and honest about damage."""
+
+import json
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+
+from rrm.checkpoint import AppendLog, Checkpoints, decode, encode
+from rrm.errors import CheckpointError, ConfigError
+
+arrays = hnp.arrays(
+    st.sampled_from([np.float32, np.float64, np.int64, np.uint8, np.bool_]), hnp.array_shapes(min_dims=0, max_dims=3)
+)
+leaves = st.none() | st.booleans() | st.integers() | st.floats(allow_nan=False) | st.text(max_size=5) | arrays
+trees = st.dictionaries(
+    st.text(min_size=1, max_size=5).filter(lambda k: not k.startswith("$")),
+    st.recursive(leaves, lambda x: st.lists(x, max_size=3) | st.dictionaries(st.text(max_size=3), x, max_size=3)),
+    max_size=4,
+)
+
+
+def same(a, b):
+    if isinstance(a, np.ndarray):
+        return isinstance(b, np.ndarray) and a.dtype == b.dtype and a.shape == b.shape and a.tobytes() == b.tobytes()
+    if isinstance(a, dict):
+        return a.keys() == b.keys() and all(same(a[k], b[k]) for k in a)
+    if isinstance(a, list):
+        return len(a) == len(b) and all(same(x, y) for x, y in zip(a, b, strict=True))
+    return a == b and type(a) is type(b)
+
+
+@given(trees)
+def test_a_state_survives_bit_for_bit(state):
+    """What was encoded is decoded: types, shapes, bits."""
+    assert same(state, decode(encode(state)))
+
+
+def test_tensors_stay_tensors():
+    """A tensor comes back as a tensor, a scalar one as a scalar."""
+    state = decode(encode({"t": torch.arange(3.0), "s": torch.tensor(2.5)}))
+    assert torch.equal(torch.arange(3.0), state["t"])
+    assert state["s"].shape == ()
+
+
+def test_an_object_is_refused_with_its_place():
+    """Anything that would need a pickle is a programming error that names the leaf."""
+    with pytest.raises(TypeError, match="state/a/0: a state cannot hold a object"):
+        encode({"a": [object()]})
+
+
+def test_newest_two_are_kept(tmp_path):
+    """Older checkpoints go; the newest is loaded."""
+    checkpoints = Checkpoints(tmp_path)
+    for step in (10, 20, 30):
+        checkpoints.save(step, {"step": step})
+    seen = []
+    assert checkpoints.load(seen.append) == 30
+    assert seen == [{"step": 30}]
+    assert len(list(tmp_path.glob("*.json"))) == 2
+
+
+@pytest.mark.parametrize("kind", ["marker", "state"])
+def test_every_truncation_falls_back_to_the_one_before(tmp_path, kind):
+    """A file cut at any length is noticed, reported, removed, and the previous checkpoint is used."""
+    checkpoints = Checkpoints(tmp_path)
+    checkpoints.save(10, {"x": torch.ones(4)})
+    checkpoints.save(20, {"x": torch.zeros(4)})
+    name = "state-000000000020" + (".json" if kind == "marker" else ".safetensors")
+    whole = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
+    for length in range(0, len(whole[name]), 7):
+        for path, data in whole.items():
+            (tmp_path / path).write_bytes(data)
+        (tmp_path / name).write_bytes(whole[name][:length])
+        assert checkpoints.load(lambda _: None) == 10
+        assert len(checkpoints.skipped) == 1
+        assert not (tmp_path / "state-000000000020.json").exists()
+
+
+def test_flipped_bytes_are_noticed(tmp_path):
+    """One flipped bit anywhere in the state is damage."""
+    checkpoints = Checkpoints(tmp_path)
+    checkpoints.save(10, {"x": torch.ones(4)})
+    path = tmp_path / "state-000000000010.safetensors"
+    data = bytearray(path.read_bytes())
+    data[-3] ^= 4
+    path.write_bytes(data)
+    assert checkpoints.load(lambda _: None) is None
+    assert "checksum" in checkpoints.skipped[0]
+
+
+def test_a_state_that_does_not_restore_falls_back(tmp_path):
+    """When the owner of a log finds it damaged, the checkpoint before is tried."""
+    checkpoints = Checkpoints(tmp_path)
+    checkpoints.save(10, {"good": True})
+    checkpoints.save(20, {"good": False})
+
+    def restore(state):
+        if not state["good"]:
+            raise CheckpointError("the log is torn")
+
+    assert checkpoints.load(restore) == 10
+
+
+def test_another_format_is_refused_not_removed(tmp_path):
+    """A checkpoint of another version stays, and the message says which version wrote it."""
+    checkpoints = Checkpoints(tmp_path)
+    checkpoints.save(10, {})
+    marker = tmp_path / "state-000000000010.json"
+    marker.write_text(json.dumps(json.loads(marker.read_text()) | {"format": 99}))
+    with pytest.raises(ConfigError, match="format 99"):
+        checkpoints.load(lambda _: None)
+    assert marker.exists()
+
+
+@given(st.lists(st.binary(max_size=20), max_size=6), st.binary(max_size=9), st.data())
+def test_a_log_restores_any_committed_prefix(tmp_path_factory, chunks, torn, data):
+    """Bytes behind the committed length, from a process that died, are ignored and overwritten."""
+    path = tmp_path_factory.mktemp("log") / "log.bin"
+    log = AppendLog(path)
+    marks = []
+    for chunk in chunks:
+        log.append(chunk)
+        marks.append((log.size, log.crc))
+    if not marks:
+        return
+    with path.open("ab") as file:
+        file.write(torn)
+    size, crc = data.draw(st.sampled_from(marks))
+    again = AppendLog(path)
+    assert again.restore(size, crc) == b"".join(chunks)[:size]
+    again.append(b"new")
+    assert path.read_bytes() == b"".join(chunks)[:size] + b"new"
+
+
+def test_a_damaged_log_is_refused(tmp_path):
+    """Missing, short or changed logs raise."""
+    log = AppendLog(tmp_path / "log.bin")
+    log.append(b"hello")
+    (tmp_path / "log.bin").write_bytes(b"hellO")
+    with pytest.raises(CheckpointError, match="checksum"):
+        AppendLog(tmp_path / "log.bin").restore(log.size, log.crc)
+    with pytest.raises(CheckpointError, match="No such file"):
+        AppendLog(tmp_path / "none.bin").restore(1, 0)

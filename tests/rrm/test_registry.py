@@ -1,0 +1,66 @@
+"""Looking names up."""
+
+import pytest
+
+from rrm.errors import ConfigError, UnknownNameError
+from rrm.registry import is_file_reference, lookup, source_digest
+
+TABLE = {"join": "os.path:join", "sqrt": "math:sqrt"}
+
+
+def test_a_name_loads_its_path():
+    """A known name gives the object."""
+    assert lookup(TABLE, "function", "sqrt")(4) == 2
+
+
+def test_an_unknown_name_gets_the_nearest():
+    """The message names kind, name, suggestion and what is known."""
+    with pytest.raises(UnknownNameError, match='unknown function "sqr"; did you mean "sqrt"\\? known: join, sqrt'):
+        lookup(TABLE, "function", "sqr")
+
+
+def test_a_users_file_is_loaded(tmp_path):
+    """`file.py:name` is the object of that name in the file."""
+    file = tmp_path / "mine.py"
+    file.write_text("def twice(x):\n    return 2 * x\n")
+    assert lookup(TABLE, "function", f"{file}:twice")(3) == 6
+
+
+@pytest.mark.parametrize(
+    ("text", "name", "message"),
+    [
+        ("x = 1\n", "y", "defines no 'y'"),
+        ("raise RuntimeError('oh')\n", "y", "does not import: RuntimeError: oh"),
+        ("def (:\n", "y", "does not import: SyntaxError"),
+    ],
+)
+def test_a_bad_file_of_the_users_says_why(tmp_path, text, name, message):
+    """Missing attribute and failing import are configuration errors that name the file."""
+    file = tmp_path / "mine.py"
+    file.write_text(text)
+    with pytest.raises(ConfigError, match=message):
+        lookup(TABLE, "prior", f"{file}:{name}")
+
+
+def test_a_missing_file_says_so(tmp_path):
+    """A file that is not there is named."""
+    with pytest.raises(ConfigError, match="there is no file"):
+        lookup(TABLE, "prior", f"{tmp_path}/none.py:f")
+
+
+def test_the_digest_follows_the_content(tmp_path):
+    """Equal content, equal digest, wherever the file lies; our own names have none."""
+    for name in ("a.py", "b.py"):
+        (tmp_path / name).write_text("x = 1\n")
+    assert source_digest(f"{tmp_path}/a.py:x") == source_digest(f"{tmp_path}/b.py:x")
+    (tmp_path / "a.py").write_text("x = 2\n")
+    assert source_digest(f"{tmp_path}/a.py:x") != source_digest(f"{tmp_path}/b.py:x")
+    assert source_digest("proxy") is None
+
+
+def test_what_is_a_file_reference():
+    """Only `….py:identifier` names a file."""
+    assert is_file_reference("my/prior.py:fn")
+    assert not is_file_reference("proxy")
+    assert not is_file_reference("a.py:")
+    assert not is_file_reference("a.txt:b")

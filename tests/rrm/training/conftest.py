@@ -1,0 +1,64 @@
+"""Small runs of the toy car, seconds long, with every mechanism in them."""
+
+import dataclasses
+from pathlib import Path
+
+import pytest
+
+from rrm.config import AgentConfig, EvaluationConfig, ExplorationConfig, FeedbackConfig, RewardConfig
+from rrm.training.config import RunConfig
+
+
+@pytest.fixture
+def tiny():
+    """Makes a run of a few hundred steps: 50-step episodes, feedback every 150 steps from step 150 (200) on."""
+
+    def make(learner="pebble", **fields):
+        reward = RewardConfig(learner=learner, hidden=16, layers=1, epochs=3, prior=fields.pop("prior", None))
+        given = {
+            "profile": "test", "task": "toy-car", "seed": 0, "steps": 700, "horizon": 50, "reward": reward,
+            "agent": AgentConfig(hidden=16, layers=1, batch=16),
+            "feedback": FeedbackConfig(every=150, batch=10, budget=25, segment=10),
+            "exploration": ExplorationConfig(seed_steps=100, unsupervised_steps=50, reset_updates=5),
+            "evaluation": EvaluationConfig(every=250, episodes=2),
+        }  # fmt: skip
+        return RunConfig(**given | fields).canonical()
+
+    return make
+
+
+class Recorder:
+    """A monitor that keeps what it is told and stops the job after `patience` steps."""
+
+    def __init__(self, patience=None):
+        self.rows, self.notes, self.beats, self.patience = {}, [], [], patience
+
+    def row(self, row):
+        self.rows[row.step] = row
+
+    def note(self, message):
+        self.notes.append(message)
+
+    def beat(self, step, steps_per_s):
+        self.beats.append(step)
+
+    def should_stop(self):
+        if self.patience is None:
+            return False
+        self.patience -= 1
+        return self.patience <= 0
+
+    def numbers(self):
+        """The rows without what the clock put into them, as text, so that NaN equals NaN."""
+        return [repr(dataclasses.replace(self.rows[s], wall_s=0, steps_per_s=0)) for s in sorted(self.rows)]
+
+
+@pytest.fixture
+def recorder():
+    return Recorder
+
+
+@pytest.fixture
+def networks():
+    """The bytes of a finished run's networks."""
+    return lambda folder: (Path(folder) / "model.safetensors").read_bytes()

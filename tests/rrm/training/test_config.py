@@ -1,0 +1,129 @@
+"""A run's configuration and its identity."""
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from pydantic import ValidationError
+
+from rrm.config import ExplorationConfig, FeedbackConfig, RewardConfig, TeacherConfig
+from rrm.errors import RrmError
+from rrm.training.config import RunConfig
+
+
+def run(**fields):
+    return RunConfig(**{"task": "button-press", "seed": 0, "steps": 500_000} | fields)
+
+
+def test_the_defaults_are_the_papers():
+    """Tables of the appendix: SAC, RRM."""
+    config = run()
+    agent, reward, feedback = config.agent, config.reward, config.feedback
+    assert (agent.hidden, agent.layers, agent.batch, agent.actor_lr, agent.critic_lr) == (256, 3, 512, 1e-4, 1e-4)
+    assert (agent.discount, agent.tau, agent.target_every, agent.initial_alpha) == (0.99, 0.005, 2, 0.1)
+    assert (reward.members, reward.hidden, reward.layers, reward.lr, reward.capacity) == (3, 256, 3, 3e-4, 10_000)
+    assert (feedback.batch, feedback.every, feedback.segment, feedback.budget) == (50, 5000, 50, 5000)
+
+
+def test_anything_that_can_change_numbers_changes_the_identity():
+    """Task, seed, steps, every section, horizon and threads are part of it."""
+    variants = [
+        run(), run(seed=1), run(steps=400_000), run(task="door-open"), run(horizon=250), run(threads=2),
+        run(profile="laptop"), run(reward=RewardConfig(prior="proxy")), run(teacher=TeacherConfig(mistake=0.1)),
+        run(feedback=FeedbackConfig(batch=25)), run(exploration=ExplorationConfig(unsupervised_steps=9000)),
+    ]  # fmt: skip
+    assert len({v.identity for v in variants}) == len(variants)
+
+
+def test_what_cannot_change_numbers_does_not():
+    """Teacher and feedback mean nothing to the oracle, nor does the task's own horizon said aloud."""
+    oracle = {"reward": RewardConfig(learner="true")}
+    assert run(**oracle).identity == run(**oracle, teacher=TeacherConfig(mistake=0.1)).identity
+    assert run(**oracle).identity == run(reward=RewardConfig(learner="true", hidden=64, prior="proxy")).identity
+    assert run().identity == run(horizon=500).identity
+
+
+def test_identities_are_stable():
+    """These digests must never change: results on disk are known by them. A change of numbers raises CONFIG_VERSION."""
+    assert run().identity == "bd79cc1ad11fcc34"
+    assert run(reward=RewardConfig(prior="proxy"), seed=3).identity == "eb2bed108ff9ce4c"
+
+
+def test_a_cell_is_the_run_without_its_seed():
+    """Seeds of one setting share the cell, and nothing else does."""
+    assert run(seed=1).cell == run(seed=2).cell
+    assert run(seed=1).cell != run(seed=1, steps=400_000).cell
+
+
+def test_a_users_file_counts_by_its_content(tmp_path):
+    """The same function has one identity wherever it lies; an edited one has another."""
+    text = "def mine(step):\n    return 0.0\n"
+    identities = []
+    for folder, content in (("a", text), ("b", text), ("c", text + "\n# edited\n")):
+        (tmp_path / folder).mkdir()
+        (tmp_path / folder / "prior.py").write_text(content)
+        config = run(reward=RewardConfig(prior=f"{tmp_path}/{folder}/prior.py:mine"))
+        assert config.method == "rrm-prior"
+        identities.append(config.identity)
+    assert identities[0] == identities[1] != identities[2]
+
+
+@pytest.mark.parametrize(
+    ("fields", "method"),
+    [
+        ({}, "pebble"),
+        ({"reward": RewardConfig(learner="true")}, "oracle"),
+        ({"reward": RewardConfig(prior="proxy")}, "rrm-proxy"),
+        ({"reward": RewardConfig(learner="prior", prior="h2o")}, "sac-h2o"),
+    ],
+)
+def test_methods_are_named_as_in_the_tables(fields, method):
+    """The name follows from learner and prior."""
+    assert run(**fields).method == method
+
+
+@pytest.mark.parametrize(
+    ("fields", "message"),
+    [
+        ({"task": "button-pres"}, 'did you mean "button-press"'),
+        ({"reward": RewardConfig(learner="peble")}, 'unknown learner "peble"; did you mean "pebble"'),
+        ({"reward": RewardConfig(prior="proxi")}, 'unknown prior "proxi"; did you mean "proxy"'),
+        ({"reward": RewardConfig(learner="prior")}, "needs one named"),
+        ({"task": "walker-walk", "reward": RewardConfig(prior="h2o")}, "does not reveal"),
+        ({"feedback": FeedbackConfig(segment=501)}, "do not fit into an episode of 500"),
+        ({"steps": 1000}, "the run ends at 1000, before the first feedback at 1000"),
+        ({"horizon": 501}, "longer than button-press's episode of 500"),
+        ({"feedback": None}, "needs both"),
+    ],
+)
+def test_what_cannot_be_run_is_refused(fields, message):
+    """The message names the key and what would do."""
+    with pytest.raises((RrmError, ValidationError), match=message):
+        run(**fields)
+
+
+@pytest.mark.parametrize("fields", [{"stpes": 1}, {"agent": {"hiden": 1}}, {"steps": 0}, {"seed": -1}, {"steps": "x"}])
+def test_unknown_keys_and_wrong_types_are_refused(fields):
+    """Nothing is ignored and nothing is coerced into sense."""
+    with pytest.raises(ValidationError):
+        run(**fields)
+
+
+def test_feedback_waits_for_two_episodes():
+    """On DM-Control a thousand steps are one episode: random actions and the first session move to 2000."""
+    residual = run(task="walker-walk", reward=RewardConfig(prior="proxy"))
+    assert (residual.random_steps, residual.first_session) == (2000, 2000)
+    baseline = run(task="walker-walk", exploration=ExplorationConfig(unsupervised_steps=9000))
+    assert (baseline.random_steps, baseline.first_session) == (1000, 10_000)
+
+
+@given(st.integers(1500, 100_000), st.integers(1, 9000), st.integers(1, 60), st.integers(1, 5000))
+def test_sessions_are_those_the_loop_holds(steps, every, batch, budget):
+    """The closed form counts what a walk over the steps counts."""
+    config = run(steps=steps, feedback=FeedbackConfig(every=every, batch=batch, budget=budget))
+    asked = sessions = 0
+    for _ in range(config.first_session, steps, every):
+        if asked >= budget:
+            break
+        asked += min(batch, budget - asked)
+        sessions += 1
+    assert config.sessions() == sessions

@@ -1,0 +1,123 @@
+"""Stopping anywhere and going on gives the run that was never stopped."""
+
+import shutil
+import subprocess
+import sys
+import textwrap
+
+import pytest
+
+from rrm.training.jobs import train
+
+METHODS = [
+    {"learner": "true"},
+    {"learner": "prior", "prior": "random"},
+    {},
+    {"prior": "proxy"},
+]
+
+
+def interrupted(config, folder, recorder, patience, **options):
+    """Train in pieces of `patience` steps; all rows together, and how many pieces it took."""
+    together, pieces = recorder(), 0
+    while True:
+        piece = recorder(patience)
+        pieces += 1
+        finished = train(config, folder, piece, **options)
+        together.rows |= piece.rows
+        if finished:
+            return together, pieces
+
+
+@pytest.mark.parametrize("method", METHODS, ids=str)
+@pytest.mark.parametrize("patience", [1, 97])
+def test_a_run_in_pieces_is_the_run(tiny, recorder, networks, tmp_path, method, patience):
+    """Stopped every n steps and resumed, rows and final networks are equal bit for bit."""
+    config = tiny(**method, steps=260 if patience == 1 else 700)
+    straight = recorder()
+    assert train(config, tmp_path / "a", straight)
+    pieces, count = interrupted(config, tmp_path / "b", recorder, patience)
+    assert count > 5
+    assert straight.numbers() == pieces.numbers()
+    assert networks(tmp_path / "a") == networks(tmp_path / "b")
+
+
+def test_checkpoints_at_other_times_change_nothing(tiny, recorder, networks, tmp_path):
+    """Saving after every step gives the numbers of saving at evaluations alone."""
+    one, other = recorder(), recorder()
+    train(tiny(), tmp_path / "a", one)
+    train(tiny(), tmp_path / "b", other, checkpoint_every_s=0)
+    assert one.numbers() == other.numbers()
+    assert networks(tmp_path / "a") == networks(tmp_path / "b")
+
+
+@pytest.mark.parametrize("damage", ["state", "log", "both", "all"])
+def test_damaged_checkpoints_cost_steps_not_the_run(tiny, recorder, networks, tmp_path, damage):
+    """Whatever is damaged, an older checkpoint or step 0 is used, it is said, and the curve is the same."""
+    straight = recorder()
+    train(tiny(), tmp_path / "a", straight)
+    folder = tmp_path / "b" / "checkpoint"
+    first, second = recorder(200), recorder(200)
+    train(tiny(), tmp_path / "b", first)
+    train(tiny(), tmp_path / "b", second)
+    states = sorted(folder.glob("state-*.safetensors"))
+    assert [int(p.stem.split("-")[1]) for p in states] == [250, 400]
+    if damage in ("state", "both"):
+        states[-1].write_bytes(states[-1].read_bytes()[:-9])
+    if damage in ("log", "both"):
+        log = folder / "transitions.bin"
+        data = bytearray(log.read_bytes())
+        data[-5] ^= 1
+        log.write_bytes(data)
+    if damage == "all":
+        shutil.rmtree(folder)
+        folder.mkdir()
+        for name in ("state-000000000400", "state-000000000250"):
+            (folder / f"{name}.json").write_text("{}")
+    rest = recorder()
+    assert train(tiny(), tmp_path / "b", rest)
+    assert any("set aside" in note for note in rest.notes)
+    together = recorder()
+    together.rows = first.rows | second.rows | rest.rows
+    assert straight.numbers() == together.numbers()
+    assert networks(tmp_path / "a") == networks(tmp_path / "b")
+
+
+def test_killed_with_sigkill_it_goes_on(tiny, recorder, networks, tmp_path):
+    """A process killed outright, again and again, leaves what a fresh one continues to the same end."""
+    config = tiny(prior="proxy")
+    straight = recorder()
+    train(config, tmp_path / "a", straight)
+    script = textwrap.dedent("""
+        import os, signal, sys
+        from pathlib import Path
+        from rrm.training.config import RunConfig
+        from rrm.training.jobs import train
+        class Fatal:
+            steps = 0
+            def row(self, row): pass
+            def note(self, message): pass
+            def beat(self, *_): pass
+            def should_stop(self):
+                self.steps += 1
+                if self.steps == 190:
+                    os.kill(os.getpid(), signal.SIGKILL)
+                return False
+        train(RunConfig.model_validate_json(sys.argv[1]), Path(sys.argv[2]), Fatal(), checkpoint_every_s=0.01)
+    """)
+    for _ in range(2):
+        done = subprocess.run(
+            [sys.executable, "-c", script, config.model_dump_json(), str(tmp_path / "b")], check=False
+        )
+        assert done.returncode == -9
+    rest = recorder()
+    assert train(config, tmp_path / "b", rest)
+    assert any("continuing from the checkpoint" in note for note in rest.notes)
+    assert straight.numbers()[-1] == rest.numbers()[-1]
+    assert networks(tmp_path / "a") == networks(tmp_path / "b")
+
+
+def test_a_finished_run_keeps_its_networks_only(tiny, recorder, tmp_path):
+    """The experience of a finished run is not kept."""
+    train(tiny(), tmp_path, recorder())
+    assert [path.name for path in tmp_path.iterdir()] == ["model.safetensors"]

@@ -1,0 +1,169 @@
+"""The training loop: what happens at which step."""
+
+import numpy as np
+import pytest
+import torch
+
+from rrm.errors import NumericalError, PriorError
+from rrm.training.loop import Trainer
+
+
+@pytest.fixture
+def traced(tiny, monkeypatch):
+    """Runs a configuration and records, per step, what was done."""
+
+    def run(steps, **fields):
+        trainer = Trainer(tiny(**fields))
+        log = []
+        update, reset = trainer.agent.update, trainer.agent.reset_critic
+
+        def traced_update(batch):
+            known = trainer.experience.transitions
+            assert known == trainer.step, "the update must not see the transition of its own step"
+            log.append((trainer.step, "update"))
+            update(batch)
+
+        def traced_reset():
+            log.append((trainer.step, "reset"))
+            reset()
+
+        monkeypatch.setattr(trainer.agent, "update", traced_update)
+        monkeypatch.setattr(trainer.agent, "reset_critic", traced_reset)
+        if trainer.sessions is not None:
+            hold = trainer.sessions.hold
+            monkeypatch.setattr(trainer.sessions, "hold", lambda s: (log.append((s, "session")), hold(s)))
+            entropy = trainer.entropy.__class__.__call__
+            monkeypatch.setattr(
+                trainer.entropy.__class__, "__call__", lambda e, d: (log.append((trainer.step, "entropy")), entropy(e, d))[1]
+            )  # fmt: skip
+        for _ in range(steps):
+            trainer.advance()
+        trainer.close()
+        return trainer, log
+
+    return run
+
+
+def when(log, what):
+    return [step for step, done in log if done == what]
+
+
+def test_pebbles_schedule_is_b_prefs(traced):
+    """Random steps, unsupervised updates, one session with reset and extra updates, then an update at every step."""
+    trainer, log = traced(480)
+    assert when(log, "entropy") == list(range(101, 150))
+    assert when(log, "session") == [150, 300, 450]
+    assert when(log, "reset") == [150]
+    updates = when(log, "update")
+    assert updates.count(150) == 5
+    assert sorted(set(updates)) == list(range(101, 480))
+    assert [trainer.sessions.requested, trainer.sessions.labelled] == [25, 25]
+
+
+def test_the_budget_ends_the_sessions(traced):
+    """The last session asks for what is left; none comes after it."""
+    trainer, log = traced(620)
+    assert when(log, "session") == [150, 300, 450]
+    assert trainer.sessions.requested == 25
+
+
+def test_the_oracle_updates_after_its_random_steps(traced):
+    """No session, no reset; the first update is at the step after the random ones."""
+    _, log = traced(110, learner="true")
+    assert log == [(step, "update") for step in range(101, 110)]
+
+
+def test_updates_can_be_spread(traced, tiny):
+    """With `update_every` n only each n-th step updates."""
+    agent = tiny().agent.model_copy(update={"update_every": 3})
+    _, log = traced(120, learner="true", agent=agent)
+    assert when(log, "update") == [102, 105, 108, 111, 114, 117]
+
+
+def test_the_oracle_is_trained_on_the_true_reward(traced):
+    """The reward column is the true one for the oracle, and the prior for prior-only training."""
+    trainer, _ = traced(60, learner="true")
+    rows = trainer.experience.since(0)
+    assert torch.equal(trainer.experience.true_reward[rows], trainer.experience.reward[rows])
+    trainer, _ = traced(60, learner="prior", prior="proxy")
+    assert torch.equal(trainer.experience.prior[rows], trainer.experience.reward[rows])
+    assert not torch.equal(trainer.experience.true_reward[rows], trainer.experience.reward[rows])
+
+
+def test_stored_rewards_are_what_the_reward_says_now(traced):
+    """After sessions and steps, every stored reward is the current ensemble's of the stored prior."""
+    trainer, _ = traced(333, prior="proxy")
+    experience = trainer.experience
+    rows = experience.since(0)
+    predicted = trainer.sessions.learner.reward.predict(
+        experience.obs[rows], experience.act[rows], experience.prior[rows]
+    )
+    torch.testing.assert_close(predicted, experience.reward[rows], atol=1e-6, rtol=0)
+
+
+def test_the_prior_is_of_the_state_before_the_step(traced):
+    """Proxy of s_t on the car: minus the distance from where it stood to the goal."""
+    trainer, _ = traced(60, prior="proxy")
+    rows = trainer.experience.since(0)
+    obs = trainer.experience.obs[rows]
+    distance = (obs[:, 0:2] - obs[:, 2:4]).norm(dim=1)
+    torch.testing.assert_close(-distance, trainer.experience.raw_prior[rows])
+
+
+def test_evaluation_does_not_disturb_training(tiny):
+    """However often one evaluates, the training that follows is the same bit for bit."""
+    trainers = [Trainer(tiny(prior="random")) for _ in range(2)]
+    for step in range(330):
+        for trainer in trainers:
+            trainer.advance()
+        if step % 40 == 0:
+            trainers[0].evaluate()
+    rows = trainers[0].experience.since(0)
+    for column in ("obs", "act", "reward", "prior"):
+        assert torch.equal(*(getattr(t.experience, column)[rows] for t in trainers))
+    assert torch.equal(*(t.agent.actor.flat for t in trainers))
+    assert len({t.evaluate().true_return for t in trainers}) == 1
+
+
+def test_two_seeds_differ_and_one_repeats(tiny):
+    """The seed decides everything."""
+    seen = []
+    for seed in (0, 0, 1):
+        trainer = Trainer(tiny(seed=seed))
+        for _ in range(200):
+            trainer.advance()
+        seen.append(trainer.experience.obs[trainer.experience.since(0)])
+    assert torch.equal(seen[0], seen[1])
+    assert not torch.equal(seen[0], seen[2])
+
+
+def test_a_row_says_what_was_lived(traced):
+    """Means are over the transitions since the last row; prior and residual add up to the reward."""
+    trainer, _ = traced(200, prior="proxy")
+    row = trainer.evaluate()
+    assert row.prior_mean + row.residual_mean == pytest.approx(row.reward_mean)
+    assert (row.step, row.episodes, row.queries, row.labels) == (200, 2, 10, 10)
+    for _ in range(50):
+        trainer.advance()
+    later = trainer.evaluate()
+    rows = trainer.experience.since(200)
+    assert later.true_reward_mean == pytest.approx(float(trainer.experience.true_reward[rows].double().mean()))
+
+
+def test_a_failing_prior_names_itself_and_the_step(tiny, tmp_path):
+    """A user's prior that raises at its thirtieth call stops the run with prior, step and cause."""
+    file = tmp_path / "mine.py"
+    file.write_text("n = 0\ndef bad(step):\n    global n\n    n += 1\n    return 1 / (30 - n)\n")
+    trainer = Trainer(tiny(prior=f"{file}:bad"))
+    with pytest.raises(PriorError, match=r'prior ".*mine.py:bad" at step 29 raised ZeroDivisionError'):
+        for _ in range(40):
+            trainer.advance()
+
+
+def test_a_reward_that_is_not_finite_stops_the_run(tiny, monkeypatch):
+    """NaN from the simulator is an error that names the step, not something to learn from."""
+    trainer = Trainer(tiny())
+    step = trainer.env.step
+    monkeypatch.setattr(trainer.env, "step", lambda a: (lambda o, _, *rest: (o, np.nan, *rest))(*step(a)))
+    with pytest.raises(NumericalError, match="step 0: the true reward is nan"):
+        trainer.advance()
