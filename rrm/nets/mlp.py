@@ -9,6 +9,7 @@ asked for. The tests compare the two, and both with `torch.nn.Linear`.
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
 import torch
@@ -26,17 +27,24 @@ LEAK = 0.01  #: slope of leaky_relu below zero
 _ALIGN = 16
 
 
+@dataclass
 class Tape:
-    """What one `forward` of `batch` rows leaves for a backward pass, and room for the gradients on the way down."""
+    """What one `forward` leaves for a backward pass, and room for the gradients on the way down."""
 
-    def __init__(self, members: int, batch: int, widths: Sequence[int], device: torch.device) -> None:
-        def room(width: int) -> Tensor:
-            return torch.empty(members, batch, width, device=device)
+    inputs: Tensor  #: what the stack was given, [N, B, in]
+    hidden: list[Tensor]  #: after the activation, [N, B, hidden] each
+    outputs: Tensor  #: [N, B, out], stored as [N, out, B]
+    deltas: tuple[Tensor, Tensor]  #: [N, B, hidden], used in turns
 
-        self.inputs = room(0)  #: what the stack was given, [N, B, in]
-        self.hidden = [room(width) for width in widths[1:-1]]  #: after the activation, [N, B, hidden] each
-        self.outputs = room(widths[-1])  #: [N, B, out]
-        self.deltas = [torch.empty_like(h) for h in self.hidden]
+    def rows(self, rows: slice) -> Tape:
+        """The same pass as if only these rows had been put in."""
+        first, second = self.deltas
+        return Tape(
+            inputs=self.inputs[:, rows],
+            hidden=[h[:, rows] for h in self.hidden],
+            outputs=self.outputs[:, rows],
+            deltas=(first[:, rows], second[:, rows]),
+        )
 
 
 class StackedMLP:
@@ -70,21 +78,26 @@ class StackedMLP:
         self.activation = activation
         self.init = init
         shapes = [s for i, o in zip(self.widths, self.widths[1:], strict=False) for s in ((i, o), (1, o))]
-        sizes = [members * math.prod(shape) for shape in shapes]
-        padded = [-(-size // _ALIGN) * _ALIGN for size in sizes]
-        self.flat = torch.zeros(sum(padded), device=device)  #: all parameters; the padding between them stays zero
+        shapes[-2] = (outputs, self.widths[-2])
+        size = sum(_padded(members * math.prod(shape)) for shape in shapes)
+        self.flat = torch.zeros(size, device=device)  #: all parameters; the padding between them stays zero
         self.flat_grad = torch.zeros_like(self.flat)  #: their gradients, filled by `backward_params` or by autograd
-        self._params: list[Tensor] = []
-        self._grads: list[Tensor] = []
-        offset = 0
-        for shape, size, room in zip(shapes, sizes, padded, strict=True):
-            window = slice(offset, offset + size)
-            self._grads.append(self.flat_grad[window].view(members, *shape))
-            self._params.append(self.flat[window].view(members, *shape))
-            offset += room
+        self._params = self._windows(self.flat, shapes)
+        self._grads = self._windows(self.flat_grad, shapes)
         self._leaves = [p.detach().requires_grad_() for p in self._params]
         if generator is not None:
             self.initialise(generator)
+
+    def _windows(self, flat: Tensor, shapes: Sequence[tuple[int, int]]) -> list[Tensor]:
+        """Views into a flat buffer, [N, *shape] each; the last weight is stored transposed, see `forward`."""
+        views: list[Tensor] = []
+        offset = 0
+        for shape in shapes:
+            size = self.members * math.prod(shape)
+            views.append(flat[offset : offset + size].view(self.members, *shape))
+            offset += _padded(size)
+        views[-2] = views[-2].transpose(1, 2)
+        return views
 
     def initialise(self, generator: torch.Generator) -> None:
         """Draw fresh weights in place."""
@@ -103,7 +116,16 @@ class StackedMLP:
 
     def tape(self, batch: int) -> Tape:
         """A fresh tape for inputs of `batch` rows, to be used again and again."""
-        return Tape(self.members, batch, self.widths, self.flat.device)
+
+        def room(*shape: int) -> Tensor:
+            return torch.empty(self.members, *shape, device=self.flat.device)
+
+        return Tape(
+            inputs=room(batch, 0),
+            hidden=[room(batch, width) for width in self.widths[1:-1]],
+            outputs=room(self.widths[-1], batch).transpose(1, 2),
+            deltas=(room(batch, max(self.widths[1:-1], default=0)), room(batch, max(self.widths[1:-1], default=0))),
+        )
 
     def parameters(self) -> list[Tensor]:
         """Leaves for autograd that share memory with `flat`: `[W0, b0, W1, b1, ...]`, W [N, in, out], b [N, 1, out]."""
@@ -136,39 +158,57 @@ class StackedMLP:
     def forward(self, x: Tensor, tape: Tape) -> Tensor:
         """Outputs [N, B, out] of x, [B, in] or [N, B, in], in the tape; x must not change before the backward pass."""
         tape.inputs = h = x.expand(self.members, -1, -1)
-        for layer, out in enumerate(tape.hidden):
-            torch.baddbmm(self._params[2 * layer + 1], h, self._params[2 * layer], out=out)
-            if self.activation == "relu":
-                torch.relu_(out)
-            else:
-                nn.functional.leaky_relu_(out, LEAK)
-            h = out
-        return torch.baddbmm(self._params[-1], h, self._params[-2], out=tape.outputs)
+        for weight, bias, out in zip(self._params[:-2:2], self._params[1:-2:2], tape.hidden, strict=True):
+            h = self._activate(torch.bmm(h, weight, out=out), bias)
+        # The output is narrow, and matrix libraries are several times quicker when the narrow side comes first: the
+        # last product, its weights and its gradient are computed transposed.
+        weight, bias = self._params[-2:]
+        torch.baddbmm(_t(bias), _t(weight), _t(h), out=_t(tape.outputs))
+        return tape.outputs
 
     @torch.no_grad()
     def backward_params(self, grad: Tensor, tape: Tape) -> None:
         """Overwrite `flat_grad` with a loss' gradient, given its gradient [N, B, out] in the tape's outputs."""
-        for layer in reversed(range(len(self.widths) - 1)):
+        below = tape.hidden[-1] if tape.hidden else tape.inputs
+        torch.bmm(_t(grad), below, out=_t(self._grads[-2]))
+        torch.sum(grad, 1, keepdim=True, out=self._grads[-1])
+        for layer in reversed(range(len(tape.hidden))):
+            grad = self._descend(layer, grad, tape)
             below = tape.hidden[layer - 1] if layer > 0 else tape.inputs
-            torch.bmm(below.transpose(1, 2), grad, out=self._grads[2 * layer])
+            torch.bmm(_t(below), grad, out=self._grads[2 * layer])
             torch.sum(grad, 1, keepdim=True, out=self._grads[2 * layer + 1])
-            if layer > 0:
-                grad = self._descend(layer, grad, tape)
 
     @torch.no_grad()
     def backward_inputs(self, grad: Tensor, tape: Tape, columns: slice) -> Tensor:
         """Gradient in these columns of the tape's inputs, [N, B, columns], for each member by itself."""
-        for layer in reversed(range(1, len(self.widths) - 1)):
+        for layer in reversed(range(len(tape.hidden))):
             grad = self._descend(layer, grad, tape)
-        return torch.bmm(grad, self._params[0][:, columns].transpose(1, 2))
+        return _t(torch.bmm(self._params[0][:, columns], _t(grad)))
 
     def _descend(self, layer: int, grad: Tensor, tape: Tape) -> Tensor:
-        """From the gradient in a layer's product to the one in the product of the layer below, in the tape's room."""
-        activated = tape.hidden[layer - 1]
-        below = torch.bmm(grad, self._params[2 * layer].transpose(1, 2), out=tape.deltas[layer - 1])
+        """The gradient in the product of a hidden layer, given that in the product of the layer above."""
+        activated = tape.hidden[layer]
+        delta = torch.bmm(grad, _t(self._params[2 * layer + 2]), out=tape.deltas[layer % 2])
         # Both activations keep the sign of their input, so their output tells on which side it was.
         if self.activation == "relu":
-            torch.ops.aten.threshold_backward.grad_input(below, activated, 0, grad_input=below)
+            torch.ops.aten.threshold_backward.grad_input(delta, activated, 0, grad_input=delta)
         else:
-            torch.ops.aten.leaky_relu_backward.grad_input(below, activated, LEAK, True, grad_input=below)
-        return below
+            torch.ops.aten.leaky_relu_backward.grad_input(delta, activated, LEAK, True, grad_input=delta)
+        return delta
+
+    def _activate(self, product: Tensor, bias: Tensor) -> Tensor:
+        """Add the bias and apply the activation, in place; one pass over memory where there is one."""
+        if self.activation == "leaky_relu":
+            return nn.functional.leaky_relu_(product.add_(bias), LEAK)
+        if product.device.type == "cpu":
+            torch.ops.aten._add_relu_.Tensor(product, bias)
+            return product
+        return product.add_(bias).relu_()
+
+
+def _t(stack: Tensor) -> Tensor:
+    return stack.transpose(1, 2)
+
+
+def _padded(size: int) -> int:
+    return -(-size // _ALIGN) * _ALIGN

@@ -8,7 +8,7 @@ from torch import Tensor, nn
 from torch.distributions import Normal, TanhTransform, TransformedDistribution
 
 from rrm.nets.mlp import StackedMLP
-from rrm.training.config import AgentConfig
+from rrm.config import AgentConfig
 from rrm.types import Batch
 
 

@@ -16,7 +16,7 @@ from rrm.agents.sac import Sac
 from rrm.errors import CheckpointError, NumericalError
 from rrm.nets.mlp import StackedMLP
 from rrm.seeding import Streams
-from rrm.training.config import AgentConfig
+from rrm.config import AgentConfig
 from rrm.types import Batch, State
 from tests.rrm.agents.reference_sac import ReferenceSac, unstack
 
