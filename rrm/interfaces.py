@@ -37,8 +37,8 @@ class Env(Protocol):
     `info["success"]` is 0.0 or 1.0 for this step on tasks that have the notion. A time limit is `truncated`.
     """
 
-    observation_space: gymnasium.spaces.Box
-    action_space: gymnasium.spaces.Box
+    observation_space: gymnasium.spaces.Box[np.float32]
+    action_space: gymnasium.spaces.Box[np.float32]
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Floats, dict[str, Any]]:
         """Start an episode; a seed restarts the stream from which task instances are drawn."""

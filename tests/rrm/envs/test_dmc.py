@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from rrm.envs import make, task
-from rrm.errors import ConfigError
+from rrm.errors import ConfigError, NumericalError
 
 pytestmark = pytest.mark.sim
 
@@ -70,6 +70,16 @@ def test_instances(envs):
     walker = envs["walker-walk"]
     walker.reset(seed=0)
     assert len({tuple(walker.reset()[0].tolist()) for _ in range(10)}) == 10
+
+
+def test_divergence():
+    """A simulation that blows up is an error, not an episode that goes on from another state."""
+    env = make("walker-walk")
+    env.reset(seed=0)
+    env.sim.physics.data.qvel[0] = np.nan
+    with pytest.raises(NumericalError, match="diverged at step 0 "):
+        env.step(np.zeros(6, np.float32))
+    env.close()
 
 
 def test_tasks_the_suite_lacks():

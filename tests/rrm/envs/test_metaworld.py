@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from rrm.envs import TASKS, make, task
-from rrm.errors import ConfigError, UnknownNameError
+from rrm.errors import ConfigError, NumericalError, UnknownNameError
 from rrm.priors import load_prior
 from rrm.priors.step import PriorStep, Scene
 
@@ -130,6 +130,16 @@ def test_random_policy(name, env):
     env.reset(seed=0)
     acts = np.random.default_rng(0).uniform(-1, 1, (200, 4)).astype(np.float32)
     assert sum(env.step(act)[4]["success"] for act in acts) == 0
+
+
+def test_divergence(envs, tmp_path, monkeypatch):
+    """A simulation that blows up is an error, not an episode that goes on from a restarted arm."""
+    monkeypatch.chdir(tmp_path)  # MuJoCo writes MUJOCO_LOG.TXT where it stands
+    env = envs["button-press"]
+    env.reset(seed=0)
+    env.sim.data.qvel[0] = np.nan
+    with pytest.raises(NumericalError, match="diverged at step 0 "):
+        env.step(np.zeros(4, np.float32))
 
 
 def test_unknown_names():
