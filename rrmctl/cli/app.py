@@ -84,7 +84,7 @@ def rrmctl(
 
 
 for _command in (inspect.list_, inspect.plan, run.run, run.status, run.resume, run.show, report.plot, inspect.doctor):
-    app.command(_command.__name__.rstrip("_"))(_command)
+    app.command(_command.__name__.rstrip("_"))(_command)  # list_ is the command `list`
 app.add_typer(report.report_app, name="report")
 
 

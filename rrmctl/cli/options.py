@@ -2,13 +2,43 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
+DEFAULT_RESULTS = Path("results")
+DEFAULT_EXPERIMENTS = Path("experiments")
+
+
+def complete_experiment(incomplete: str) -> list[str]:
+    """For the shell: experiments whose name starts with what was typed."""
+    folder = Path(os.environ.get("RRMCTL_EXPERIMENTS", DEFAULT_EXPERIMENTS))
+    return sorted(path.stem for path in folder.glob("*.toml") if path.stem.startswith(incomplete))
+
+
+def complete_profile(incomplete: str) -> list[str]:
+    """For the shell: profiles whose name starts with what was typed."""
+    from rrmctl.profiles import profiles
+
+    return [name for name in profiles() if name.startswith(incomplete)]
+
+
+def complete_setting(incomplete: str) -> list[str]:
+    """For the shell: settings that can follow --set."""
+    from rrmctl.settings import known_settings
+
+    return [f"{name}=" for name in known_settings() if name.startswith(incomplete)]
+
+
 ExperimentArgument = Annotated[
-    str, typer.Argument(metavar="NAME", help="An experiment of `rrmctl list`, or the path of a manifest of your own.")
+    str,
+    typer.Argument(
+        metavar="NAME",
+        help="An experiment of `rrmctl list`, or the path of a manifest of your own.",
+        autocompletion=complete_experiment,
+    ),
 ]
 ResultsOption = Annotated[
     Path, typer.Option("--results", metavar="DIR", envvar="RRMCTL_RESULTS", help="Where runs are kept.")
@@ -19,7 +49,11 @@ ExperimentsOption = Annotated[
 ]
 ProfileOption = Annotated[
     str | None,
-    typer.Option("--profile", help="Scale: paper, laptop, quickstart or smoke. Default: the manifest's, mostly paper."),
+    typer.Option(
+        "--profile",
+        help="Scale: paper, laptop, quickstart or smoke. Default: the manifest's, mostly paper.",
+        autocompletion=complete_profile,
+    ),
 ]
 SeedsOption = Annotated[
     str | None,
@@ -33,7 +67,12 @@ MethodsOption = Annotated[
 ]
 SetOption = Annotated[
     list[str] | None,
-    typer.Option("--set", metavar="KEY=VALUE", help="Change a setting of every run, e.g. agent.batch=256. Repeatable."),
+    typer.Option(
+        "--set",
+        metavar="KEY=VALUE",
+        help="Change a setting of every run, e.g. agent.batch=256. Repeatable.",
+        autocompletion=complete_setting,
+    ),
 ]
 PriorOption = Annotated[
     list[str] | None,
@@ -43,9 +82,6 @@ PriorOption = Annotated[
         help="Add the residual method on this prior to the experiment. Repeatable.",
     ),
 ]
-
-DEFAULT_RESULTS = Path("results")
-DEFAULT_EXPERIMENTS = Path("experiments")
 
 
 def split_names(values: list[str] | None) -> list[str] | None:

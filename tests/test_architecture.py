@@ -1,0 +1,208 @@
+"""Who may import whom, that the command line answers at once, and that every table entry stands for something."""
+
+from __future__ import annotations
+
+import ast
+import json
+import subprocess
+import sys
+import tomllib
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from rrm.envs import TASKS
+from rrm.priors import PRIORS
+from rrm.registry import lookup
+from rrm.rewards import LEARNERS
+from rrm.teachers import TEACHERS
+from rrm.training.config import TeacherConfig
+from rrmctl import profiles
+
+ROOT = Path(__file__).parents[1]
+
+#: Modules of rrmctl that know the library; everything else reads what they leave behind.
+KNOW_RRM = {
+    *("methods", "settings", "cells", "plan"),  # names and settings become configurations
+    *("runfile", "worker"),  # a configuration's way into the process that trains
+    "cli.app",  # errors become messages
+}
+#: The tables of tasks and errors are light, and what a task is scored by is theirs to say.
+FACTS = {"rrm.envs.tasks", "rrm.errors"}
+
+#: Floors of `rrm`: a module imports from floors below its own, or from its own package.
+FLOORS = {
+    "training": 6,
+    "priors": 4, "teachers": 4, "queries": 4,
+    "agents": 3, "rewards": 3,
+    "buffers": 2,
+    "nets": 1, "losses": 1,
+}  # fmt: skip
+HEAVY = {"torch", "numpy", "pandas", "pyarrow", "pydantic", "matplotlib", "mujoco", "metaworld", "dm_control", "scipy"}
+
+
+def modules() -> dict[str, Path]:
+    """Every module of both packages, by dotted name."""
+    found = {}
+    for path in (path for package in ("rrm", "rrmctl") for path in (ROOT / package).rglob("*.py")):
+        parts = path.relative_to(ROOT).with_suffix("").parts
+        found[".".join(parts[:-1] if parts[-1] == "__init__" else parts)] = path
+    return found
+
+
+MODULES = modules()
+
+
+def _is_for_types_only(node: ast.If) -> bool:
+    return isinstance(node.test, ast.Name) and node.test.id == "TYPE_CHECKING"
+
+
+def _statements(body: list[ast.stmt], *, inside: bool) -> Iterator[ast.stmt]:
+    """Statements that run on import; with `inside`, those in functions as well. Never those for type checkers."""
+    for node in body:
+        if isinstance(node, ast.If) and _is_for_types_only(node):
+            continue
+        yield node
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef) and not inside:
+            continue
+        for part in ("body", "orelse", "finalbody", "handlers"):
+            for child in getattr(node, part, []):
+                yield from _statements(child.body if isinstance(child, ast.ExceptHandler) else [child], inside=inside)
+
+
+def imports(name: str, *, inside: bool = True) -> set[str]:
+    """The modules that `name` imports; ours by the most precise name there is."""
+    found = set()
+    for node in _statements(ast.parse(MODULES[name].read_text()).body, inside=inside):
+        if isinstance(node, ast.Import):
+            found |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{name}: relative import"
+            inner = {f"{node.module}.{alias.name}" for alias in node.names}
+            ours = inner & set(MODULES)
+            found |= ours | ({node.module} if len(ours) < len(inner) and node.module else set())
+    return found
+
+
+def ours(name: str, *, inside: bool = True) -> set[str]:
+    return {module for module in imports(name, inside=inside) if module.split(".")[0] in ("rrm", "rrmctl")}
+
+
+def test_the_library_does_not_know_the_program() -> None:
+    """`rrm` never imports `rrmctl`, not even inside a function."""
+    assert [m for m in MODULES if m.startswith("rrm.") and any(i.startswith("rrmctl") for i in imports(m))] == []
+
+
+def test_few_modules_of_the_program_know_the_library() -> None:
+    """Planning and the worker import `rrm`; pool, scheduler, store and reports do not."""
+    knowing = {
+        module.removeprefix("rrmctl.")
+        for module in MODULES
+        if module.startswith("rrmctl") and any(i.split(".")[0] == "rrm" for i in ours(module) - FACTS)
+    }
+    assert knowing == KNOW_RRM
+
+
+def test_statistics_stand_alone() -> None:
+    """`rrmctl.stats` imports nothing of ours but itself."""
+    for module in (m for m in MODULES if m.startswith("rrmctl.stats")):
+        assert {i for i in ours(module) if not i.startswith("rrmctl.stats")} == set(), module
+
+
+def test_no_circles() -> None:
+    """Imports that run with the module form no circle."""
+    graph = {module: ours(module, inside=False) & set(MODULES) - {module} for module in MODULES}
+    left = dict(graph)
+    while leaves := [module for module, needs in left.items() if not needs & set(left)]:
+        for module in leaves:
+            del left[module]
+    assert left == {}
+
+
+def test_floors_of_the_library() -> None:
+    """Rooms of `rrm` import from floors below; what no floor names is the ground that all stand on."""
+
+    def room(module: str) -> str:
+        return module.split(".")[1] if "." in module else ""
+
+    wrong = [
+        f"{module} imports {other}"
+        for module in MODULES
+        if module.startswith("rrm.") and room(module) in FLOORS
+        for other in ours(module)
+        if room(other) in FLOORS and room(other) != room(module) and FLOORS[room(other)] >= FLOORS[room(module)]
+    ]
+    assert wrong == []
+
+
+@pytest.mark.parametrize("room", ["agents", "rewards", "nets"])
+def test_learning_knows_no_environment(room: str) -> None:
+    """Agents and reward learners receive batches; they import no environment and no buffer."""
+    for module in (m for m in MODULES if m.startswith(f"rrm.{room}")):
+        assert not {i for i in ours(module) if i.startswith(("rrm.envs", "rrm.buffers"))}, module
+
+
+def test_environments_know_no_torch() -> None:
+    """A simulator can be used without the learning library."""
+    assert [m for m in MODULES if m.startswith("rrm.envs") and "torch" in {i.split(".")[0] for i in imports(m)}] == []
+
+
+@pytest.mark.parametrize(
+    "code",
+    [
+        "from typer.testing import CliRunner; from rrmctl.cli.app import app; CliRunner().invoke(app, ['--help'])",
+        "import rrmctl.cli.app",
+    ],
+)
+def test_help_answers_at_once(code: str) -> None:
+    """Nothing heavy is loaded by the command line itself."""
+    report = "; import json, sys; print(json.dumps(sorted({m.split('.')[0] for m in sys.modules})))"
+    done = subprocess.run([sys.executable, "-c", code + report], capture_output=True, text=True, check=True)
+    assert set(json.loads(done.stdout.splitlines()[-1])) & HEAVY == set()
+
+
+def test_planning_needs_no_torch() -> None:
+    """Ten thousand jobs are planned without the learning library or a simulator."""
+    code = (
+        "from pathlib import Path; from rrmctl.manifest import load; from rrmctl.plan import make_plan;"
+        "make_plan(load(Path('experiments/main-results.toml'))); import sys;"
+        "print([m for m in ('torch', 'mujoco', 'metaworld', 'pandas') if m in sys.modules])"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=ROOT)
+    assert done.stdout == "[]\n"
+
+
+@pytest.mark.parametrize("name", sorted(PRIORS))
+def test_every_prior_loads(name: str) -> None:
+    """Each name in the table of priors stands for something that can be called."""
+    assert callable(lookup(PRIORS, "prior", name))
+
+
+@pytest.mark.parametrize("name", sorted(LEARNERS))
+def test_every_learner_loads(name: str) -> None:
+    """Each name in the table of learners stands for a class."""
+    assert isinstance(lookup(LEARNERS, "learner", name), type)
+
+
+@pytest.mark.parametrize("name", sorted(TEACHERS))
+def test_every_teacher_is_complete(name: str) -> None:
+    """Each preset is a valid configuration."""
+    TeacherConfig.model_validate(TEACHERS[name])
+
+
+@pytest.mark.sim
+@pytest.mark.parametrize("name", sorted(TASKS))
+def test_every_task_loads(name: str) -> None:
+    """Each task's class can be imported, and its features lie inside the observation."""
+    task = TASKS[name]
+    assert isinstance(lookup({name: task.entry_point}, "task", name), type)
+    assert all(0 <= part.start < part.stop <= task.obs_dim for part in task.features.values())
+
+
+def test_profiles_speak_of_what_exists() -> None:
+    """Every suite and task that a profile sets something for is one."""
+    suites = {task.suite for task in TASKS.values()}
+    for name, table in tomllib.loads(profiles.PATH.read_text()).items():
+        assert set(table.get("suite", {})) <= suites, name
+        assert set(table.get("task", {})) <= set(TASKS), name
