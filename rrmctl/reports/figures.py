@@ -110,7 +110,9 @@ def draw(section: Section, *, kind: IqmKind = "rliable") -> Figure:
             if position % across == 0 or panels[position - 1].score != panel.score:
                 axes.set_ylabel(_UNITS[panel.score])
         handles = [_handle(method, label) for method, label in counts.items()]
-        lower.legend(handles=handles, loc="upper center", ncols=columns, borderaxespad=0.2, columnspacing=1.4, handlelength=3.2)
+        # Long handles, or the marker would hide the gap of a dashed line.
+        spacing = {"borderaxespad": 0.2, "columnspacing": 1.4, "handlelength": 3.2}
+        lower.legend(handles=handles, loc="upper center", ncols=columns, **spacing)
         lower.text(0.5, 0.03, "\n".join(notes), ha="center", va="bottom", fontsize=6.5, color="#444444")
     return figure
 
@@ -136,7 +138,7 @@ def _draw_panel(axes: Axes, panel: Panel, kind: IqmKind) -> None:
     if panel.score == "success":
         axes.set_ylim(-4, 104)
     axes.set_xlim(0, 1.02 * max(int(series.steps[-1]) for series in panel.present()))
-    axes.xaxis.set_major_locator(MaxNLocator(5))
+    axes.xaxis.set_major_locator(MaxNLocator(6))
     axes.xaxis.set_major_formatter(FuncFormatter(lambda steps, _: _steps(steps)))
 
 

@@ -11,9 +11,10 @@ import json
 import math
 import os
 from collections.abc import Callable, Iterator, Sequence
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 from rrmctl.reports.tables import COLUMNS
+from rrmctl.reports.words import LAST_MARK
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -21,13 +22,12 @@ if TYPE_CHECKING:
 
     from rrmctl.reports.words import Report
 
-Format = Literal["terminal", "markdown", "csv", "latex", "json"]
-
 #: Of the JSON document and the CSV columns; raised by one when one is added, removed, or changes its meaning.
 TEXT_VERSION = 1
 
 _NOTHING = "–"
-_LAST = "*"
+#: Columns of a terminal: the usual number, enough for space between the columns, and what is taken where nobody looks.
+_USUAL, _ROOMY, _WIDE = 80, 100, 160
 _LEFT = ("task", "teacher", "feedback", "method")
 
 
@@ -39,15 +39,18 @@ def print_terminal(reports: Sequence[Report], console: Console) -> None:
 
     for report in reports:
         header, rows = cells(report.table)
-        table = Table(box=SIMPLE_HEAD, show_edge=False, pad_edge=False)
+        table = Table(box=SIMPLE_HEAD, show_edge=False, pad_edge=False, padding=(0, int(console.width >= _ROOMY)))
         for name in header:
-            table.add_column(name, justify="left" if name.lower() in _LEFT else "right", overflow="fold")
+            text = name.lower() in _LEFT
+            # Names fold first; numbers only where even the narrowest of terminals leaves no choice.
+            whole = not text and console.width >= _USUAL
+            table.add_column(name, justify="left" if text else "right", overflow="fold", no_wrap=whole)
         for row, last in zip(*_grouped(rows), strict=True):
             table.add_row(*row, end_section=last)
         console.print(Text(report.title, style="bold"))
         if rows:
             console.print(table)
-        for note in (*_marks(report.table), *report.notes):
+        for note in report.notes:
             console.print(Text(note, style="dim"))
         console.print()
 
@@ -75,45 +78,38 @@ def console_for(file: Any = None) -> Console:
     return console
 
 
-_WIDE = 160
+def to_text(reports: Sequence[Report], form: str) -> str:
+    """The reports as text ending in a newline; `form` is one of `FORMATS`."""
+    return FORMATS[form](reports)
 
 
-def to_text(reports: Sequence[Report], form: Format) -> str:
-    """The reports in one of the formats, ending in a newline."""
-    if form == "terminal":
-        file = io.StringIO()
-        print_terminal(reports, console_for(file))
-        return "\n".join(line.rstrip() for line in file.getvalue().rstrip().splitlines()) + "\n"
-    writers: dict[str, Callable[[Sequence[Report]], str]] = {
-        "markdown": _markdown,
-        "csv": _csv,
-        "latex": _latex,
-        "json": _json,
-    }
-    return writers[form](reports)
+def _terminal(reports: Sequence[Report]) -> str:
+    file = io.StringIO()
+    print_terminal(reports, console_for(file))
+    return "\n".join(line.rstrip() for line in file.getvalue().rstrip().splitlines()) + "\n"
 
 
 def cells(table: pd.DataFrame) -> tuple[list[str], list[list[str]]]:
     """Header and rows of an IQM table for people; columns that say nothing are left out."""
     columns: dict[str, list[str]] = {"Task": list(table["task"])}
     for name in ("teacher", "feedback"):
-        if table[name].nunique() > 1:
+        if (table.groupby("task")[name].nunique() > 1).any():
             columns[name.capitalize()] = list(table[name])
     records = table.to_dict("records")
     columns["Method"] = list(table["method"])
     columns["Step"] = [_step(row) for row in records]
     columns["IQM"] = [_number(row["iqm"], row["score"]) for row in records]
     columns["95 % interval"] = [_interval(row) for row in records]
-    columns["25-75 %"] = [_range(row["q25"], row["q75"], row["score"], "{} to {}") for row in records]
+    columns["25-75 %"] = [_range(row["q25"], row["q75"], row["score"], "{}..{}") for row in records]
     columns["n"] = [f"{row['n']}/{row['planned']}" for row in records]
     columns["AUC"] = [_number(row["auc"], row["score"]) for row in records]
     return list(columns), [list(row) for row in zip(*columns.values(), strict=True)]
 
 
 def _step(row: dict[Any, Any]) -> str:
-    if row["step_rule"] == "each task's":
-        return "each task's"
-    return f"{row['step']:,}" + (_LAST if row["step_rule"] == "last" else "")
+    if row["step_rule"] == "each":
+        return _NOTHING
+    return f"{row['step']:,}" + (LAST_MARK if row["step_rule"] == "last" else "")
 
 
 def _number(value: float, score: str) -> str:
@@ -122,7 +118,7 @@ def _number(value: float, score: str) -> str:
         return _NOTHING
     if score == "success":
         return f"{100 * value:.1f} %"
-    return f"{value:.1f}" if abs(value) >= 100 else f"{value:.2f}"
+    return f"{value:.{0 if abs(value) >= 1000 else 1 if abs(value) >= 100 else 2}f}"
 
 
 def _range(low: float, high: float, score: str, form: str) -> str:
@@ -137,12 +133,6 @@ def _interval(row: dict[Any, Any]) -> str:
     return "n < 3" if too_few else _range(row["low"], row["high"], row["score"], "[{}, {}]")
 
 
-def _marks(table: pd.DataFrame) -> list[str]:
-    if (table["step_rule"] == "last").any():
-        return [f"{_LAST} the last common step: no method reached the step rule."]
-    return []
-
-
 def _markdown(reports: Sequence[Report]) -> str:
     parts = []
     for report in reports:
@@ -150,7 +140,7 @@ def _markdown(reports: Sequence[Report]) -> str:
         rule = [":--" if name.lower() in _LEFT else "--:" for name in header]
         grid = [header, rule, *[[_escape(cell, "|*_") for cell in row] for row in rows]]
         lines = ["| " + " | ".join(row) + " |" for row in grid]
-        notes = [f"- {_escape(note, '*_')}" for note in (*_marks(report.table), *report.notes)]
+        notes = [f"- {_escape(note, '*_')}" for note in report.notes]
         parts.append("\n".join([f"### {_escape(report.title, '*_')}", "", *lines, "", *notes]))
     return "\n\n".join(parts) + "\n"
 
@@ -184,7 +174,7 @@ def _latex_lines(report: Report) -> Iterator[str]:
         if last:
             yield r"\midrule"
     yield from (r"\bottomrule", r"\end{tabular}", r"\par\smallskip\footnotesize")
-    yield _tex(" ".join((*_marks(report.table), *report.notes)))
+    yield _tex(" ".join(report.notes))
     yield r"\end{table}"
 
 
@@ -216,13 +206,20 @@ def _json(reports: Sequence[Report]) -> str:
         report.facts | {"title": report.title, "notes": list(report.notes), "rows": _rows(report.table)}
         for report in reports
     ]
-    return (
-        json.dumps({"schema_version": TEXT_VERSION, "reports": document}, indent=1, allow_nan=False, ensure_ascii=False)
-        + "\n"
-    )
+    whole = {"schema_version": TEXT_VERSION, "reports": document}
+    return json.dumps(whole, indent=1, allow_nan=False, ensure_ascii=False) + "\n"
 
 
 def _rows(table: pd.DataFrame) -> list[dict[str, Any]]:
     """Rows of plain values; null where there is none."""
     whole = table.astype(object).where(table.notna(), None)
     return [{str(key): value for key, value in row.items()} for row in whole.to_dict("records")]
+
+
+FORMATS: dict[str, Callable[[Sequence[Report]], str]] = {
+    "terminal": _terminal,
+    "markdown": _markdown,
+    "csv": _csv,
+    "latex": _latex,
+    "json": _json,
+}

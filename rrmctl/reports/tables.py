@@ -46,7 +46,8 @@ CURVE_COLUMNS = (
     "high", "n", "iqm_kind", "schema_version",
 )  # fmt: skip
 
-ALL_TASKS = "all success tasks"
+#: Stands for the task in rows that pool all tasks read by success.
+ALL_TASKS = "success tasks"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -124,7 +125,7 @@ def iqm_rows(section: Section, made: dict[Series, Curve], settings: Settings) ->
 
     panels = section.panels()
     rows = [row for panel in panels for row in _panel_rows(panel, made)]
-    rows += [row for group in _across_tasks(panels) for row in _group_rows(group, settings)]
+    rows += [row for group in across_tasks(panels) for row in _group_rows(group, settings)]
     table = pd.DataFrame(rows, columns=list(COLUMNS))
     return table.astype({"step": "Int64", "n": "int64", "planned": "int64"})
 
@@ -146,7 +147,7 @@ def _panel_rows(panel: Panel, made: dict[Series, Curve]) -> Iterator[dict[str, A
         yield {key: float(value) if isinstance(value, np.ndarray) else value for key, value in row.items()}
 
 
-def _across_tasks(panels: Sequence[Panel]) -> list[list[Panel]]:
+def across_tasks(panels: Sequence[Panel]) -> list[list[Panel]]:
     """Panels of different success tasks that may be pooled: as many tasks in each group as there are, or no group."""
     success = [panel for panel in panels if panel.score == "success"]
     tasks = {panel.task for panel in success}
@@ -176,7 +177,7 @@ def _group_rows(group: Sequence[Panel], settings: Settings) -> Iterator[dict[str
         yield {
             "task": ALL_TASKS, "teacher": _only(teachers, "several"), "method": method,
             "feedback": _only(schedules, "each task's"), "score": "success",
-            "step": None, "step_rule": "each task's", "iqm": float(found.estimate), "low": float(found.low),
+            "step": None, "step_rule": "each", "iqm": float(found.estimate), "low": float(found.low),
             "high": float(found.high), "q25": float(q25), "q75": float(q75), "n": found.n,
             "planned": sum(each.planned for each in series),
         }  # fmt: skip

@@ -9,12 +9,26 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from rrmctl.reports.select import Panel, Section
-from rrmctl.reports.tables import BOOTSTRAP_SEED, DEFAULTS, LEVEL, Curve, Settings, curve_rows, curves, iqm_rows
+from rrmctl.reports.tables import (
+    ALL_TASKS,
+    BOOTSTRAP_SEED,
+    DEFAULTS,
+    LEVEL,
+    Curve,
+    Settings,
+    across_tasks,
+    curve_rows,
+    curves,
+    iqm_rows,
+)
 
 if TYPE_CHECKING:
     import pandas as pd
 
     from rrmctl.reports.select import Series
+
+#: Beside a step that is merely the last one, and before the note that says so.
+LAST_MARK = "*"
 
 _KIND_IN_WORDS = {
     "rliable": "rliable's (the lowest and highest quarter of the runs are dropped, rounded down to whole runs)",
@@ -78,13 +92,15 @@ def _plain(value: Any) -> str:
 
 
 def _notes(section: Section, settings: Settings) -> Iterator[str]:
-    yield f"{section.contained} of {section.planned} planned runs; n tells it for each row."
+    yield f"{section.contained} of {section.planned} planned runs; column n says how many of each row's."
     yield from absent_notes(section)
     yield from section.problems
     panels = section.panels()
     for panel in panels:
         alone = sum(each.task == panel.task for each in panels) == 1
         yield _step_note(panel.task if alone else f"{panel.task} ({panel.teacher}, {panel.feedback})", panel)
+    if across_tasks(panels):
+        yield f'"{ALL_TASKS}" pools the seeds of all tasks that are read by success, each at its own step.'
     yield f"IQM: {_KIND_IN_WORDS[settings.kind]}, of one number per seed; its episodes are averaged first."
     yield (
         f"Interval: {100 * LEVEL:g} % percentile bootstrap over seeds with tasks as strata, {settings.replicates:,} "
@@ -122,6 +138,6 @@ def _step_note(name: str, panel: Panel) -> str:
         who = " and ".join(read.by)
         return f"{name} is read at step {read.step:,}, the first at which 80 % of the seeds of {who} are at 100 %."
     return (
-        f"{name} is read at the last common step, {read.step:,}: no method but the oracle has 80 % of its seeds at "
-        "100 % at any step."
+        f"{LAST_MARK} {name} is read at the last common step, {read.step:,}: no method but the oracle ever has "
+        "80 % of its seeds at 100 %."
     )

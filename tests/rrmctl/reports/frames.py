@@ -1,0 +1,102 @@
+"""Stores with known content: as the DataFrames a report starts from, and as files below a results root."""
+
+import hashlib
+import json
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import pandas as pd
+
+from rrmctl.store.atomic import write_bytes, write_json
+from rrmctl.store.layout import Layout
+from rrmctl.store.reader import PLANNED
+from rrmctl.store.records import JobRecord, State, Status, SweepRecord, record_sweep, write_status
+from rrmctl.store.schema import IDENTITY, MEASURED
+from rrmctl.store.writer import encode
+
+#: Success of each seed at steps 100, 200, 300, 400; the true return is a thousand times that.
+RISING = {
+    "oracle": [[0.5, 1, 1, 1], [0.4, 1, 1, 1], [0.7, 1, 1, 1], [0, 0.9, 1, 1], [0.6, 1, 1, 1]],
+    "pebble": [[0, 0, 0.5, 0.9], [0, 0, 0, 0.2], [0, 0.1, 0.7, 1], [0, 0, 0.4, 0.6], [0, 0, 0.1, 0.4]],
+    "rrm-proxy": [[0, 0.6, 1, 1], [0.1, 0.8, 1, 0.9], [0, 0.3, 1, 1], [0, 0.5, 0.9, 1], [0.2, 0.9, 1, 1]],
+}
+SATURATED = {method: [[1.0] * 4] * 5 for method in RISING}
+FEEDBACK = "50@5000/5000"
+RETURN_TASKS = ("walker-walk", "quadruped-walk")
+
+
+@dataclass
+class Sweep:
+    """One variant of an experiment, from which runs can be taken out or changed."""
+
+    curves: dict[str, list[list[float]]] = field(default_factory=lambda: RISING)
+    tasks: tuple[str, ...] = ("button-press",)
+    experiment: str = "main-results"
+    profile: str = "laptop"
+    variant: str = "aaaa"
+    overrides: dict[str, object] = field(default_factory=dict)
+    feedback: str = FEEDBACK
+    states: dict[tuple[str, str, int], str] = field(default_factory=dict)  #: (task, method, seed); done otherwise
+    lengths: dict[tuple[str, str, int], int] = field(default_factory=dict)  #: evaluations; all otherwise
+    cells: dict[tuple[str, str, int], str] = field(default_factory=dict)
+
+    def jobs(self) -> pd.DataFrame:
+        rows = []
+        for seed in range(max(map(len, self.curves.values()))):
+            for task in self.tasks:
+                for method in (name for name, seeds in self.curves.items() if seed < len(seeds)):
+                    key = (task, method, seed)
+                    asked = method != "oracle" and not method.startswith("sac-")
+                    run = digits(self.variant, *key)
+                    cell = self.cells.get(key, digits(self.variant, task, method))
+                    labels = (task, method, *(("oracle", self.feedback) if asked else ("-", "-")), seed)
+                    who = (self.experiment, self.variant, self.profile, json.dumps(self.overrides))
+                    rows.append((*who, *labels, run, cell, self.states.get(key, "done"), 1, 400, 400, ""))
+        return pd.DataFrame(rows, columns=list(PLANNED))
+
+    def rows(self) -> pd.DataFrame:
+        rows = []
+        for job in self.jobs().to_dict("records"):
+            key = (job["task"], job["method"], job["seed"])
+            curve = self.curves[job["method"]][job["seed"]]
+            for number, success in enumerate(curve[: self.lengths.get(key, len(curve))], start=1):
+                measured = dict.fromkeys(MEASURED, 0.0) | {"step": 100 * number, "episodes": 10}
+                measured |= {"success": success, "true_return": 1000.0 * success}
+                if job["task"] in RETURN_TASKS:
+                    measured["success"] = float("nan")
+                labels = {name: job[name] for name in PLANNED[:3] + PLANNED[4:12]}
+                rows.append(labels | measured)
+        return pd.DataFrame(rows, columns=[*PLANNED[:3], *PLANNED[4:12], *MEASURED])
+
+    def frames(self) -> tuple[pd.DataFrame, pd.DataFrame]:
+        return self.rows(), self.jobs()
+
+    def evaluation(self) -> dict[str, dict[str, object]]:
+        return {cell: {"success": "any", "deterministic": True} for cell in self.jobs()["cell"]}
+
+    def write(self, root: Path) -> None:
+        """The same as files, through the store's own writers."""
+        layout, jobs, rows = Layout(root), self.jobs(), self.rows()
+        names = ("cell", "task", "method", "teacher", "feedback", "seed", "steps")
+        records = tuple(JobRecord(id=job["run"], **{n: job[n] for n in names}) for job in jobs.to_dict("records"))
+        sweep = SweepRecord(
+            experiment=self.experiment,
+            variant=self.variant,
+            profile=self.profile,
+            overrides=self.overrides,
+            jobs=records,
+        )
+        record_sweep(layout, sweep)
+        for job in jobs.to_dict("records"):
+            folder = layout.run(job["run"])
+            told = {name: job[name] for name in ("profile", "task", "method", "seed", "cell", "steps")}
+            write_json(folder.config, told | {"evaluation": {"success": "any", "deterministic": True}})
+            write_status(folder, Status(state=State(job["state"]), steps=400))
+            curve = rows[rows["run"] == job["run"]][[*IDENTITY, *MEASURED]].astype({"queries": int, "labels": int})
+            if len(curve):
+                write_bytes(folder.curve, encode(curve.to_dict("records")))
+
+
+def digits(*parts: object) -> str:
+    """Sixteen hex digits that stand for the parts, in every process alike."""
+    return hashlib.sha256(repr(parts).encode()).hexdigest()[:16]

@@ -1,0 +1,126 @@
+import json
+import subprocess
+import sys
+
+import pandas as pd
+import pytest
+from typer.testing import CliRunner
+
+from rrmctl.cli.app import app
+from tests.rrmctl.reports.frames import RISING, Sweep
+
+
+@pytest.fixture
+def results(tmp_path):
+    root = tmp_path / "results"
+    Sweep(states={("button-press", "pebble", 1): "failed"}).write(root)
+    return root
+
+
+def rrmctl(*arguments):
+    return CliRunner().invoke(app, [str(each) for each in arguments])
+
+
+def test_the_table_is_printed_and_the_curves_are_kept(results):
+    """`report iqm NAME` prints the table, exits with 0 and leaves the aggregated curves in the store."""
+    ran = rrmctl("report", "iqm", "main-results", "--results", results, "--replicates", 200)
+    assert ran.exit_code == 0
+    assert "main-results · profile laptop" in ran.stdout
+    assert "14 of 15 planned runs" in ran.stdout
+    kept = pd.read_parquet(results / "aggregates" / "main-results.parquet")
+    assert set(kept["method"]) == set(RISING)
+
+
+def test_without_a_name_every_experiment_is_reported(results):
+    """`report iqm` alone reports all that the store holds."""
+    Sweep(experiment="toy-car", tasks=("toy-car",), variant="t").write(results)
+    ran = rrmctl("report", "iqm", "--results", results, "--format", "json", "--replicates", 100)
+    assert [report["experiment"] for report in json.loads(ran.stdout)["reports"]] == ["main-results", "toy-car"]
+    assert len(list((results / "aggregates").iterdir())) == 2
+
+
+def test_a_profile_can_be_singled_out(results):
+    """`--profile` leaves the other profiles out of the table, and in the aggregated file."""
+    Sweep(profile="smoke", variant="s").write(results)
+    options = ("--results", results, "--format", "json", "--replicates", 100)
+    ran = rrmctl("report", "iqm", "main-results", "--profile", "smoke", *options)
+    assert [report["profile"] for report in json.loads(ran.stdout)["reports"]] == ["smoke"]
+    assert set(pd.read_parquet(results / "aggregates" / "main-results.parquet")["profile"]) == {"laptop", "smoke"}
+
+
+def test_a_file_takes_the_place_of_the_terminal(results, tmp_path):
+    """`-o` writes the whole file, makes its folder and prints nothing."""
+    target = tmp_path / "new" / "table.md"
+    options = ("--results", results, "--format", "markdown", "-o", target, "--replicates", 100)
+    ran = rrmctl("report", "iqm", "main-results", *options)
+    assert (ran.exit_code, ran.stdout) == (0, "")
+    assert target.read_text().startswith("### main-results · profile laptop")
+    assert [path.name for path in target.parent.iterdir()] == ["table.md"]
+
+
+def test_no_colour_where_nobody_looks(results):
+    """Piped output has no escape sequences and is not cut off."""
+    ran = rrmctl("report", "iqm", "main-results", "--results", results, "--replicates", 100)
+    assert "\x1b" not in ran.stdout
+    assert "…" not in ran.stdout
+
+
+def test_an_unknown_experiment_is_answered_with_the_nearest(results):
+    """A misspelt name is one message, exit code 2 and no traceback."""
+    for command in (("report", "iqm"), ("plot",)):
+        ran = rrmctl(*command, "main-result", "--results", results)
+        assert ran.exit_code == 2
+        assert 'did you mean "main-results"' in ran.stderr
+        assert "Traceback" not in ran.stderr
+
+
+def test_an_empty_store_says_what_to_run(tmp_path):
+    """Reporting before running exits with 2 and names the command that comes first."""
+    ran = rrmctl("report", "iqm", "--results", tmp_path)
+    assert ran.exit_code == 2
+    assert "rrmctl run quickstart" in ran.stderr
+
+
+def test_a_place_that_takes_no_write_is_named(results, tmp_path):
+    """An impossible `-o` is one message with exit code 2."""
+    blocker = tmp_path / "file"
+    blocker.write_text("")
+    for command in (("report", "iqm", "main-results", "--replicates", 100), ("plot", "main-results")):
+        ran = rrmctl(*command, "--results", results, "-o", blocker / "table")
+        assert ran.exit_code == 2
+        assert str(blocker) in ran.stderr
+
+
+def test_a_store_that_may_only_be_read_still_reports(results):
+    """Where the aggregated curves cannot be kept the table is printed all the same, and the note is on stderr."""
+    (results / "aggregates").write_text("in the way")
+    ran = rrmctl("report", "iqm", "main-results", "--results", results, "--replicates", 100)
+    assert ran.exit_code == 0
+    assert "rrm-proxy" in ran.stdout
+    assert "the curves were not kept" in ran.stderr
+
+
+def test_figures_are_written_and_named(results):
+    """`plot` writes PNG and PDF below the results and prints their paths."""
+    ran = rrmctl("plot", "main-results", "--results", results)
+    paths = [results / "figures" / f"main-results-laptop.{suffix}" for suffix in ("png", "pdf")]
+    assert ran.stdout.split() == [str(path) for path in paths]
+    assert [path.read_bytes()[:4] for path in paths] == [b"\x89PNG", b"%PDF"]
+
+
+def test_figures_of_variants_do_not_overwrite_one_another(results, tmp_path):
+    """Overrides put the variant's digits into the name; the paper's profile needs no mention."""
+    Sweep(profile="paper", variant="feed", overrides={"agent.batch": 64}).write(results)
+    Sweep(profile="paper", variant="beef").write(results)
+    rrmctl("plot", "main-results", "--results", results, "-o", tmp_path / "out")
+    names = sorted(path.name for path in (tmp_path / "out").glob("*.png"))
+    assert names == ["main-results-feed.png", "main-results-laptop.png", "main-results.png"]
+
+
+def test_the_commands_load_nothing_heavy():
+    """Importing the commands leaves numpy, pandas and matplotlib alone, so that help answers at once."""
+    code = (
+        "import sys, rrmctl.cli.report; print(*{'numpy', 'pandas', 'matplotlib', 'torch', 'rich'} & set(sys.modules))"
+    )
+    ran = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert set(ran.stdout.split()) <= {"rich"}

@@ -1,0 +1,119 @@
+import matplotlib as mpl
+import numpy as np
+import pandas as pd
+import pytest
+from scipy.stats import trim_mean
+
+from rrmctl.errors import UserError
+from rrmctl.reports.figures import encode, learning_curves
+from rrmctl.reports.styles import style
+from tests.rrmctl.reports.frames import RISING, Sweep
+
+
+def panels(figure):
+    return [axes for axes in figure.findobj(mpl.axes.Axes) if axes.get_visible()]
+
+
+def legend(figure):
+    return [text.get_text() for found in figure.findobj(mpl.legend.Legend) for text in found.get_texts()]
+
+
+def words(figure):
+    return "\n".join(text.get_text() for text in figure.findobj(mpl.text.Text))
+
+
+def test_a_line_is_the_iqm_and_a_band_the_quartiles():
+    """Each method's line is the IQM in percent; the band spans the 25th to the 75th percentile."""
+    (axes,) = panels(learning_curves(*Sweep().frames()))
+    lines = {line.get_color(): line for line in axes.get_lines()}
+    pebble = np.array(RISING["pebble"])
+    np.testing.assert_allclose(lines[style("pebble").color].get_ydata(), 100 * trim_mean(pebble, 0.25, axis=0))
+    band = axes.collections[1].get_paths()[0].vertices
+    low, high = np.quantile(100 * pebble[:, 2], [0.25, 0.75])
+    np.testing.assert_allclose(sorted({y for x, y in band if x == 300}), [low, high])
+
+
+def test_one_panel_a_task_with_units():
+    """Every task has a panel; axes name their unit; the title names experiment and profile; the legend has n."""
+    figure = learning_curves(*Sweep(tasks=("button-press", "door-open", "walker-walk")).frames())
+    assert [axes.get_title() for axes in panels(figure)] == ["button-press", "door-open", "walker-walk"]
+    assert {axes.get_ylabel() for axes in panels(figure)} == {"Success rate (%)", "", "Return (true reward)"}
+    assert panels(figure)[0].get_xlabel() == "Environment steps"
+    assert "main-results · profile laptop" in words(figure)
+    assert legend(figure) == ["oracle (n = 5)", "pebble (n = 5)", "rrm-proxy (n = 5)"]
+
+
+def test_the_oracle_is_dotted():
+    """The oracle is the only dotted line."""
+    (axes,) = panels(learning_curves(*Sweep().frames()))
+    assert [line.get_linestyle() for line in axes.get_lines()] == [":", "-", "-"]
+
+
+def test_a_single_seed_has_no_band():
+    """One seed has no spread to show, and the note does not speak of a band."""
+    figure = learning_curves(*Sweep(curves={m: c[:1] for m, c in RISING.items()}).frames())
+    assert not panels(figure)[0].collections
+    assert "Band" not in words(figure)
+
+
+def test_missing_runs_stand_below_the_figure():
+    """What was planned and is not drawn is named, and n follows it."""
+    figure = learning_curves(*Sweep(states={("button-press", "pebble", 1): "failed"}).frames())
+    assert "pebble (n = 4)" in legend(figure)
+    assert "14 of 15 planned runs. Not contained, failed:" in words(figure).replace("\n", " ")
+
+
+def test_a_figure_of_two_variants_is_refused():
+    """Profiles and overrides never share a figure."""
+    both = (pd.concat(pair) for pair in zip(Sweep().frames(), Sweep(variant="b").frames(), strict=True))
+    with pytest.raises(UserError, match="main-results/aaaa, main-results/b"):
+        learning_curves(*both)
+
+
+def test_a_figure_without_runs_is_refused():
+    """There is nothing to draw before the first evaluation."""
+    keys = [("button-press", method, seed) for method in RISING for seed in range(5)]
+    sweep = Sweep(states=dict.fromkeys(keys, "queued"), lengths=dict.fromkeys(keys, 0))
+    with pytest.raises(UserError, match="no run to draw"):
+        learning_curves(*sweep.frames())
+
+
+def test_one_evaluation_is_visible():
+    """A single point of the oracle gets a marker, since there is no line to dot."""
+    figure = learning_curves(*Sweep(curves={m: [[0.5]] for m in RISING}).frames())
+    assert all(line.get_marker() not in ("", "None") for line in panels(figure)[0].get_lines())
+    assert encode(figure, "png").startswith(b"\x89PNG")
+
+
+@pytest.mark.parametrize("form", ["png", "pdf"])
+def test_equal_figures_give_equal_bytes(form):
+    """No date or random name enters the file; drawing leaves matplotlib's global settings alone."""
+    before = dict(mpl.rcParams)
+    one, two = (encode(learning_curves(*Sweep().frames()), form) for _ in range(2))
+    assert one == two
+    assert dict(mpl.rcParams) == before
+
+
+def test_a_method_looks_the_same_everywhere():
+    """The look depends on the name alone; methods of the experiments differ in colour, marker or line."""
+    priors = ("proxy", "language", "imitation", "o2g", "h2o", "sparse", "zero", "opposite", "random")
+    names = [
+        "oracle",
+        "pebble",
+        "surf",
+        "mrn",
+        *(f"{f}-{p}" for f in ("rrm", "sac", "rrm-surf", "rrm-mrn") for p in priors),
+    ]
+    assert len({style(name) for name in names}) == len(names)
+    assert style("rrm-proxy").color == style("sac-proxy").color == style("rrm-surf-proxy").color
+    assert style("rrm-mine") == style("rrm-mine")
+
+
+def test_neighbours_differ_without_colour():
+    """In greyscale every pair of methods differs in marker or line."""
+    names = [
+        "oracle",
+        "pebble",
+        *(f"{f}-{p}" for f in ("rrm", "sac") for p in ("proxy", "o2g", "h2o", "sparse", "language")),
+    ]
+    assert len({style(name)[1:] for name in names}) == len(names)
