@@ -1,0 +1,126 @@
+"""A worker with a trainer that trains nothing: real process, real store, and every way to end that a test needs.
+
+What a run does is said in the environment variable STANDIN: a JSON object from seed (as text) to behaviour, with
+"other" for seeds it does not name.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+from rrm.errors import PriorError
+from rrm.training.config import EvaluationConfig, RewardConfig, RunConfig
+from rrm.types import EvalRow
+from rrmctl import worker
+from rrmctl.pool import Assignment
+from rrmctl.runfile import config_content
+from rrmctl.store.layout import Layout
+from rrmctl.store.records import JobRecord, SweepRecord, record_config, record_sweep
+
+COMMAND = (sys.executable, __file__)
+STEP_S = 0.01
+
+
+def config(seed: int, steps: int = 40, every: int = 10) -> RunConfig:
+    return RunConfig(
+        task="toy-car", seed=seed, steps=steps, reward=RewardConfig(learner="true"),
+        evaluation=EvaluationConfig(every=every),
+    )  # fmt: skip
+
+
+def prepare(root: Path, seeds: range, steps: int = 40, every: int = 10) -> tuple[Layout, list[Assignment]]:
+    """A results folder in which a sweep over these seeds is recorded, and its jobs."""
+    layout = Layout(root)
+    configs = [config(seed, steps, every) for seed in seeds]
+    for each in configs:
+        record_config(layout.run(each.identity), config_content(each))
+    jobs = tuple(
+        JobRecord(
+            id=each.identity, cell=each.cell, task="toy-car", method="oracle", teacher="-", feedback="-", seed=each.seed,
+            steps=steps,
+        )
+        for each in configs
+    )  # fmt: skip
+    record_sweep(layout, SweepRecord(experiment="stand-in", variant="smoke", profile="smoke", jobs=jobs))
+    return layout, [Assignment(id=job.id, label=job.label, steps=steps) for job in jobs]
+
+
+def row(step: int, seed: int = 0, **changes: float) -> EvalRow:
+    """The evaluation of a policy that knows its step and seed alone."""
+    values: dict[str, Any] = {name: float("nan") for name in EvalRow.__dataclass_fields__}
+    values |= {"step": step, "episodes": 10, "queries": 0, "labels": 0, "wall_s": 1.0, "steps_per_s": 100.0}
+    values |= {"true_return": seed * 1000.0 + step, "success": 0.5}
+    return EvalRow(**(values | changes))
+
+
+class Trainer:
+    """Counts steps and keeps the count in a checkpoint."""
+
+    def fingerprint(self, config: RunConfig) -> dict[str, str]:
+        return {"toy-car": os.environ.get("STANDIN_WORLD", "1")}
+
+    def train(self, config: RunConfig, folder: Path, monitor: worker.RunMonitor) -> bool:
+        behaviours = json.loads(os.environ.get("STANDIN", "{}"))
+        behaviour = behaviours.get(str(config.seed), behaviours.get("other", "train"))
+        checkpoint = folder / "checkpoint" / "step"
+        checkpoint.parent.mkdir(exist_ok=True)
+        step = int(checkpoint.read_text()) if checkpoint.exists() else 0
+        monitor.note(f"from step {step}")
+        while step < config.steps:
+            time.sleep(STEP_S)
+            step += 1
+            monitor.beat(step, 100.0)
+            if step % config.evaluation.every == 0:
+                monitor.row(row(step, config.seed))
+                if step < config.steps:
+                    save(checkpoint, step)
+            if step == config.steps // 2:
+                misbehave(behaviour, folder)
+            if monitor.should_stop():
+                save(checkpoint, step)
+                return False
+        (folder / "model.safetensors").write_bytes(b"")
+        checkpoint.unlink(missing_ok=True)
+        return True
+
+
+def save(path: Path, step: int) -> None:
+    path.with_suffix(".tmp").write_text(str(step))
+    path.with_suffix(".tmp").replace(path)
+
+
+def misbehave(behaviour: str, folder: Path) -> None:
+    first = not (folder / "misbehaved").exists()
+    (folder / "misbehaved").touch()
+    match behaviour:
+        case "crash":
+            raise RuntimeError("boom")
+        case "crash-once" if first:
+            raise RuntimeError("boom, but once")
+        case "refuse":
+            raise PriorError("prior returned NaN at step 20")
+        case "segfault":
+            os.kill(os.getpid(), signal.SIGSEGV)
+        case "full":
+            raise OSError(errno.ENOSPC, "No space left on device", str(folder / "checkpoint"))
+        case "hang":
+            while True:
+                with contextlib.suppress(InterruptedError):
+                    time.sleep(60)
+        case "orphan":
+            child = subprocess.Popen(["sleep", "600"])
+            (folder / "orphan").write_text(str(child.pid))
+            os.kill(os.getpid(), signal.SIGKILL)
+
+
+if __name__ == "__main__":
+    sys.exit(worker.main(trainer=Trainer()))

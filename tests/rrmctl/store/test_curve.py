@@ -1,0 +1,133 @@
+"""The curve on disk: whole after every row, and refused when damaged."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from pathlib import Path
+
+import pandas as pd
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from rrm.types import EvalRow
+from rrmctl.store.atomic import DamagedError
+from rrmctl.store.curve import decode, encode
+from rrmctl.store.layout import Layout, RunFolder
+from rrmctl.store.reader import read_curve
+from rrmctl.store.schema import IDENTITY, MEASURED, SCHEMA_VERSION, VERSION_KEY, curve_schema
+from rrmctl.store.writer import CurveWriter
+from tests.rrmctl.standin import row
+
+WHO = {"run": "0123456789abcdef", "cell": "c", "profile": "smoke", "task": "toy-car", "method": "oracle", "seed": 3}
+PATH = Path("curve.parquet")
+
+_KINDS = {"int": st.integers(0, 2**62), "float": st.floats()}
+rows = st.builds(EvalRow, **{field.name: _KINDS[str(field.type)] for field in dataclasses.fields(EvalRow)})
+
+
+def writer(tmp_path: Path, **options: int) -> tuple[RunFolder, CurveWriter]:
+    folder = Layout(tmp_path).run("0123456789abcdef")
+    return folder, CurveWriter(folder, WHO, **options)
+
+
+def measured(row: EvalRow) -> dict[str, object]:
+    """NaN as a word, so that equal rows compare equal."""
+    return {k: "NaN" if isinstance(v, float) and math.isnan(v) else v for k, v in dataclasses.asdict(row).items()}
+
+
+def test_the_columns_are_the_identity_and_every_field_of_an_evaluation() -> None:
+    """The schema names each field of EvalRow once, in its order, with its type."""
+    kinds = {"int": "int64", "float": "float64"}
+    assert {f.name: kinds[str(f.type)] for f in dataclasses.fields(EvalRow)} == MEASURED
+    assert [*IDENTITY, *MEASURED] == curve_schema().names
+
+
+@settings(max_examples=50, deadline=None)
+@given(st.lists(rows, max_size=5))
+def test_rows_come_back_as_they_were_written(given: list[EvalRow]) -> None:
+    """Any values, NaN and infinities among them, survive the file bit for bit."""
+    table = decode(encode([WHO | dataclasses.asdict(row) for row in given]), PATH)
+    back = [EvalRow(**row) for row in table.select(list(MEASURED)).to_pylist()]
+    assert list(map(measured, given)) == list(map(measured, back))
+
+
+def test_every_row_is_on_disk_when_add_returns(tmp_path: Path) -> None:
+    """Plain pandas reads the file after each row, in order of steps, with a repeated step replaced."""
+    folder, curve = writer(tmp_path)
+    for step in (10, 30, 20, 30):
+        curve.add(dataclasses.asdict(row(step, seed=3, success=step / 100)))
+        assert step in pd.read_parquet(folder.curve)["step"].tolist()
+    frame = pd.read_parquet(folder.curve)
+    assert frame["step"].tolist() == [10, 20, 30]
+    assert frame["success"].tolist() == [0.1, 0.2, 0.3]
+    assert frame["method"].unique().tolist() == ["oracle"]
+    assert [path.name for path in folder.path.iterdir()] == ["curve.parquet"]
+
+
+def test_a_second_writer_goes_on_with_the_first_one_s_rows(tmp_path: Path) -> None:
+    """Opening a curve again keeps what it holds."""
+    _, first = writer(tmp_path)
+    first.add(dataclasses.asdict(row(10)))
+    folder, second = writer(tmp_path, expected=1)
+    second.add(dataclasses.asdict(row(20)))
+    assert len(second) == 2
+    assert second.last_step == 20
+    assert pd.read_parquet(folder.curve)["step"].tolist() == [10, 20]
+
+
+def test_a_file_cut_short_anywhere_is_refused_by_name() -> None:
+    """Whatever the length that is left, reading says which file is damaged."""
+    data = encode([WHO | dataclasses.asdict(row(step)) for step in (10, 20)])
+    for length in range(0, len(data), 97):
+        with pytest.raises(DamagedError, match=r"curve\.parquet is damaged"):
+            decode(data[:length], PATH)
+
+
+@settings(max_examples=300, deadline=None)
+@given(st.data())
+def test_a_flipped_bit_is_refused_or_changes_no_value(data: st.DataObject) -> None:
+    """No single flipped bit yields other values: it is refused, or sits where it means nothing."""
+    good = encode([WHO | dataclasses.asdict(row(step)) for step in (10, 20)])
+    at = data.draw(st.integers(0, len(good) - 1))
+    flipped = bytearray(good)
+    flipped[at] ^= 1 << data.draw(st.integers(0, 7))
+    try:
+        table = decode(bytes(flipped), PATH)
+    except DamagedError:
+        return
+    assert str(decode(good, PATH).to_pylist()) == str(table.to_pylist())
+
+
+def test_a_damaged_curve_is_set_aside_and_named_not_dropped(tmp_path: Path) -> None:
+    """The writer keeps the damaged bytes under another name and says how to go on."""
+    folder, curve = writer(tmp_path)
+    curve.add(dataclasses.asdict(row(10)))
+    torn = folder.curve.read_bytes()[:100]
+    for number in (1, 2):
+        folder.curve.write_bytes(torn)
+        with pytest.raises(DamagedError, match=f"set aside as curve.parquet.corrupt-{number}") as caught:
+            writer(tmp_path)
+        assert "--force" in str(caught.value.hint)
+        assert torn == (folder.path / f"curve.parquet.corrupt-{number}").read_bytes()
+    assert not folder.curve.exists()
+
+
+def test_rows_that_vanished_are_missed(tmp_path: Path) -> None:
+    """A curve with fewer rows than were recorded is not continued as if nothing had happened."""
+    with pytest.raises(DamagedError, match="holds 0 evaluations, 2 had been written"):
+        writer(tmp_path, expected=2)
+
+
+def test_another_schema_version_is_refused_with_its_number(tmp_path: Path) -> None:
+    """A file of a later version is not read as one of this version."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    folder = Layout(tmp_path).run("0123456789abcdef")
+    folder.path.mkdir(parents=True)
+    table = pa.Table.from_pylist([], schema=curve_schema()).replace_schema_metadata({VERSION_KEY: b"99"})
+    pq.write_table(table, folder.curve)
+    with pytest.raises(DamagedError, match=f"schema version 99, this program reads {SCHEMA_VERSION}"):
+        read_curve(folder)

@@ -1,0 +1,81 @@
+"""What a run ran with, and what had changed when it went on."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from pathlib import Path
+
+import pytest
+
+from rrmctl.machine import usable_cores
+from rrmctl.store.layout import Layout, RunFolder
+from rrmctl.store.provenance import Provenance, code_digest, collect, record
+
+CONFIG = {"precision": "float32", "threads": 1, "task": "toy-car"}
+
+
+def now(**changes: object) -> Provenance:
+    told = collect(CONFIG, {"metaworld": "3.1.1", "reward": "abc"}, ["rrmctl", "run", "toy-car"], attempt=1)
+    return dataclasses.replace(told, **changes)
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> RunFolder:
+    return Layout(tmp_path).run("r")
+
+
+def test_the_first_attempt_is_recorded_whole(folder: RunFolder) -> None:
+    """Versions, machine, code, environment, precision, threads, time and command are in the file."""
+    assert record(folder, now()) == []
+    told = json.loads(folder.provenance.read_text())
+    assert {field.name for field in dataclasses.fields(Provenance)} <= set(told)
+    assert told["versions"]["numpy"][0].isdigit()
+    assert told["fingerprint"] == {"metaworld": "3.1.1", "reward": "abc"}
+    assert told["argv"] == ["rrmctl", "run", "toy-car"]
+
+
+def test_resuming_over_the_same_changes_nothing(folder: RunFolder) -> None:
+    """Another time, host and attempt are circumstances, not changes; the resumption is noted."""
+    record(folder, now())
+    assert record(folder, now(host="other", started="later", attempt=2)) == []
+    (again,) = json.loads(folder.provenance.read_text())["resumed"]
+    assert (again["host"], again["attempt"], again["changes"]) == ("other", 2, {})
+
+
+def test_every_change_is_told_once_with_both_values(folder: RunFolder) -> None:
+    """A resumption is compared with the attempt before it, not with the first."""
+    record(folder, now())
+    assert record(folder, now(threads=2, fingerprint={"metaworld": "3.1.1", "reward": "xyz"})) == [
+        "fingerprint.reward: abc -> xyz",
+        "threads: 1 -> 2",
+    ]
+    assert record(folder, now(threads=2, fingerprint={"reward": "xyz"})) == ["fingerprint.metaworld: 3.1.1 -> absent"]
+    assert record(folder, now(threads=2, fingerprint={"reward": "xyz"})) == []
+    assert 3 == len(json.loads(folder.provenance.read_text())["resumed"])
+
+
+def test_the_code_digest_follows_names_and_contents(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A changed, renamed or added module changes it; other files do not."""
+    package = tmp_path / "somepackage"
+    package.mkdir()
+    (package / "__init__.py").touch()
+    (package / "a.py").write_text("x = 1\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    seen = {code_digest("somepackage")}
+    (package / "notes.txt").write_text("nothing")
+    assert {code_digest("somepackage")} == seen
+    (package / "a.py").write_text("x = 2\n")
+    seen.add(code_digest("somepackage"))
+    (package / "a.py").rename(package / "b.py")
+    seen.add(code_digest("somepackage"))
+    assert len(seen) == 3
+
+
+@pytest.mark.parametrize(("quota", "cores"), [("max 100000", None), ("50000 100000", 1), ("100000000000 100000", None)])
+def test_cores_respect_the_container_s_quota(tmp_path: Path, quota: str, cores: int | None) -> None:
+    """Half a core is one worker; a quota beyond the machine's cores means all of them."""
+    path = tmp_path / "cpu.max"
+    path.write_text(quota)
+    everything = usable_cores(tmp_path / "absent")
+    assert usable_cores(path) == (cores or everything)

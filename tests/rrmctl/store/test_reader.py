@@ -1,0 +1,221 @@
+"""What the store tells: states, sweeps and the tidy table."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import os
+import threading
+from pathlib import Path
+
+import pytest
+
+from rrmctl.errors import UserError
+from rrmctl.store import load, planned
+from rrmctl.store.atomic import DamagedError, try_lock
+from rrmctl.store.layout import Layout
+from rrmctl.store.reader import find_run, find_sweeps, log_tail, run_status
+from rrmctl.store.records import (
+    ErrorKind,
+    JobRecord,
+    RunError,
+    State,
+    Status,
+    SweepRecord,
+    read_status,
+    read_sweeps,
+    record_failure,
+    record_sweep,
+    write_status,
+)
+from rrmctl.store.schema import LABELS, MEASURED
+from rrmctl.store.writer import CurveWriter
+from tests.rrmctl.standin import prepare, row
+
+
+def job(seed: int, method: str = "pebble") -> JobRecord:
+    return JobRecord(
+        id=f"{method}{seed}", cell=method, task="t", method=method, teacher="oracle", feedback="f", seed=seed, steps=100
+    )
+
+
+def sweep(*jobs: JobRecord, variant: str = "smoke") -> SweepRecord:
+    return SweepRecord(experiment="e", variant=variant, profile="smoke", overrides={"steps": 5}, jobs=jobs)
+
+
+def with_rows(layout: Layout, run: str, *steps: int) -> None:
+    config = json.loads(layout.run(run).config.read_text())
+    curve = CurveWriter(layout.run(run), config | {"run": run})
+    for step in steps:
+        curve.add(dataclasses.asdict(row(step, config["seed"])))
+
+
+def test_a_sweep_asked_for_twice_is_the_union(tmp_path: Path) -> None:
+    """Five more seeds are five more jobs; what was there stays first; another variant is another record."""
+    layout = Layout(tmp_path)
+    record_sweep(layout, sweep(job(0), job(1)))
+    union = record_sweep(layout, sweep(job(1), job(2)))
+    record_sweep(layout, sweep(job(7), variant="paper"))
+    assert [0, 1, 2] == [j.seed for j in union.jobs]
+    assert {"smoke": [0, 1, 2], "paper": [7]} == {s.variant: [j.seed for j in s.jobs] for s in read_sweeps(layout, "e")}
+    assert read_sweeps(layout) == read_sweeps(layout, "e")
+
+
+def test_sweeps_asked_for_at_once_lose_no_job(tmp_path: Path) -> None:
+    """Many writers of one record end in the union of all they asked for."""
+    layout = Layout(tmp_path)
+    threads = [threading.Thread(target=record_sweep, args=(layout, sweep(job(n)))) for n in range(16)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    (union,) = read_sweeps(layout)
+    assert set(range(16)) == {j.seed for j in union.jobs}
+
+
+@pytest.mark.parametrize("name", ["../out", "/etc/x", "a/b", ".hidden", "", "a\nb", "x" * 200])
+def test_names_cannot_leave_the_results_folder(tmp_path: Path, name: str) -> None:
+    """A name that would be a path elsewhere is refused."""
+    with pytest.raises(UserError, match="cannot name a file"):
+        Layout(tmp_path).sweep(name, "smoke")
+    with pytest.raises(UserError, match="cannot name a file"):
+        Layout(tmp_path).run(name)
+
+
+def test_running_without_a_process_is_interrupted(tmp_path: Path) -> None:
+    """A status that says running counts only while somebody holds the run's lock."""
+    folder = Layout(tmp_path).run("r")
+    write_status(folder, Status(state=State.RUNNING, attempt=1))
+    assert run_status(folder).state is State.INTERRUPTED
+    lock = try_lock(folder.lock)
+    assert lock is not None
+    assert run_status(folder).state is State.RUNNING
+    os.close(lock)
+    assert run_status(folder).state is State.INTERRUPTED
+
+
+def test_a_status_survives_its_file(tmp_path: Path) -> None:
+    """Every field comes back, the error among them."""
+    folder = Layout(tmp_path).run("r")
+    error = RunError(kind=ErrorKind.KILLED, type="SIGKILL", message="killed")
+    status = Status(state=State.FAILED, attempt=3, step=5, steps=9, rows=1, success=0.5, pid=1, host="h", error=error)
+    write_status(folder, status)
+    assert status == read_status(folder)
+
+
+@pytest.mark.parametrize(
+    "content", ["{", "[]", "{}", '{"schema_version": 99}', '{"schema_version": 1, "state": "odd"}']
+)
+def test_a_damaged_status_is_told_not_guessed(tmp_path: Path, content: str) -> None:
+    """Such a run is unreadable, with the file's name; reading it directly raises."""
+    folder = Layout(tmp_path).run("r")
+    folder.path.mkdir(parents=True)
+    folder.status.write_text(content)
+    status = run_status(folder)
+    assert status.state is State.UNREADABLE
+    assert "status.json" in str(status.error)
+    with pytest.raises(DamagedError):
+        read_status(folder)
+
+
+def test_a_failure_is_recorded_unless_somebody_else_has_the_run(tmp_path: Path) -> None:
+    """The owner of a run is the only one to write its status."""
+    folder = Layout(tmp_path).run("r")
+    error = RunError(kind=ErrorKind.KILLED, type="SIGKILL", message="killed")
+    write_status(folder, Status(state=State.RUNNING))
+    lock = try_lock(folder.lock)
+    assert lock is not None
+    record_failure(folder, error)
+    assert read_status(folder).state is State.RUNNING
+    os.close(lock)
+    record_failure(folder, error)
+    assert error == read_status(folder).error
+    write_status(folder, Status(state=State.DONE))
+    record_failure(folder, error)
+    assert read_status(folder).state is State.DONE
+
+
+def test_load_is_one_row_per_label_and_evaluation(tmp_path: Path) -> None:
+    """Labels come from the sweep, measurements from the curve; a run that two experiments share appears in both."""
+    layout, jobs = prepare(tmp_path, range(3))
+    with_rows(layout, jobs[0].id, 10, 20)
+    with_rows(layout, jobs[1].id, 10)
+    (record,) = read_sweeps(layout)
+    renamed = dataclasses.replace(record.jobs[0], method="teacher-free")
+    record_sweep(layout, dataclasses.replace(record, experiment="other", jobs=(renamed,)))
+    frame = load(tmp_path, "stand-in")
+    assert [*LABELS, "run", "cell", "state", *MEASURED] == list(frame.columns)
+    assert [(0, 10, 10.0), (0, 20, 20.0), (1, 10, 1010.0)] == list(
+        frame[["seed", "step", "true_return"]].itertuples(index=False, name=None)
+    )
+    everything = load(tmp_path)
+    assert {"stand-in": 3, "other": 2} == everything.groupby("experiment").size().to_dict()
+    assert {"teacher-free"} == set(everything[everything["experiment"] == "other"]["method"])
+
+
+def test_runs_that_no_sweep_names_appear_without_experiment(tmp_path: Path) -> None:
+    """A run folder copied in by hand is not skipped."""
+    layout, jobs = prepare(tmp_path, range(1))
+    with_rows(layout, jobs[0].id, 10)
+    (tmp_path / "sweeps").rename(tmp_path / "elsewhere")
+    frame = load(tmp_path)
+    assert [("", "oracle", 0, 10)] == list(
+        frame[["experiment", "method", "seed", "step"]].itertuples(index=False, name=None)
+    )
+
+
+def test_planned_tells_what_is_missing(tmp_path: Path) -> None:
+    """Every job asked for has a line, whether or not anything of it exists."""
+    layout, jobs = prepare(tmp_path, range(2))
+    error = RunError(kind=ErrorKind.REFUSED, type="PriorError", message="NaN")
+    write_status(layout.run(jobs[1].id), Status(state=State.FAILED, attempt=1, step=7, steps=40, error=error))
+    frame = planned(tmp_path, "stand-in")
+    assert ["queued", "failed"] == frame["state"].tolist()
+    assert ["", "PriorError: NaN"] == frame["error"].tolist()
+    assert [40, 40] == frame["steps"].tolist()
+
+
+def test_a_damaged_curve_stops_load_with_its_name(tmp_path: Path) -> None:
+    """No row is left out silently."""
+    layout, jobs = prepare(tmp_path, range(1))
+    with_rows(layout, jobs[0].id, 10)
+    layout.run(jobs[0].id).curve.write_bytes(b"PAR1 torn")
+    with pytest.raises(DamagedError, match=f"{jobs[0].id}/curve.parquet is damaged"):
+        load(tmp_path)
+
+
+def test_an_experiment_that_never_ran_is_answered_with_those_that_did(tmp_path: Path) -> None:
+    """So are a folder that does not exist, and ids that fit no run or several."""
+    layout, jobs = prepare(tmp_path, range(30))
+    with pytest.raises(UserError, match="it holds: stand-in"):
+        find_sweeps(layout, "stand-inn")
+    with pytest.raises(UserError, match="there is no results folder"):
+        planned(tmp_path / "nowhere")
+    assert jobs[0].id == find_run(layout, jobs[0].id[:10]).id
+    with pytest.raises(UserError, match="no run in"):
+        find_run(layout, "zzz")
+    with pytest.raises(UserError, match="stands for 30 runs: .*, \\.\\.\\."):
+        find_run(layout, "")
+
+
+def test_readers_never_meet_a_curve_half_written(tmp_path: Path) -> None:
+    """While a writer replaces the curve over and over, every look gives a whole one, never with fewer rows."""
+    layout, jobs = prepare(tmp_path, range(1))
+    writer = threading.Thread(target=with_rows, args=(layout, jobs[0].id, *range(1, 120)))
+    writer.start()
+    seen = 0
+    while writer.is_alive():
+        rows = len(load(tmp_path, "stand-in"))
+        assert rows >= seen
+        seen = rows
+    writer.join()
+    assert len(load(tmp_path, "stand-in")) == 119
+
+
+def test_the_end_of_a_log(tmp_path: Path) -> None:
+    """The last lines, whatever bytes they hold; nothing where there is no log."""
+    folder = Layout(tmp_path).run("r")
+    assert log_tail(folder) == []
+    folder.path.mkdir(parents=True)
+    folder.log.write_bytes(b"\n".join(b"line %d \xff" % n for n in range(5000)))
+    assert ["line 4998 �", "line 4999 �"] == log_tail(folder, 2)

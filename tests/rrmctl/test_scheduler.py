@@ -1,0 +1,153 @@
+"""The state machine of a sweep, without processes or clocks."""
+
+from __future__ import annotations
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from rrmctl.errors import Exit
+from rrmctl.scheduler import Ending, Outcome, Phase, Scheduler
+from rrmctl.store.records import ErrorKind, RunError
+
+DONE, STOPPED, ELSEWHERE = (Outcome(ending) for ending in (Ending.DONE, Ending.STOPPED, Ending.ELSEWHERE))
+
+
+def failed(kind: ErrorKind) -> Outcome:
+    return Outcome(Ending.FAILED, RunError(kind=kind, type="x", message="x"))
+
+
+def start_all(scheduler: Scheduler) -> list[str]:
+    started = []
+    while (job := scheduler.next()) is not None:
+        scheduler.start(job)
+        started.append(job)
+    return started
+
+
+def test_no_more_jobs_run_than_there_are_slots() -> None:
+    """A slot that becomes free takes the next job in order."""
+    scheduler = Scheduler("abcd", slots=2)
+    assert start_all(scheduler) == ["a", "b"]
+    assert scheduler.end("a", DONE) is Phase.DONE
+    assert start_all(scheduler) == ["c"]
+    assert not scheduler.finished
+
+
+def test_all_done_is_exit_0() -> None:
+    """Nothing to do is done as well."""
+    assert Scheduler((), slots=1).finished
+    scheduler = Scheduler("ab", slots=2)
+    for job in start_all(scheduler):
+        scheduler.end(job, DONE)
+    assert scheduler.finished
+    assert scheduler.exit_code() is Exit.DONE
+
+
+@pytest.mark.parametrize("kind", [ErrorKind.CRASHED, ErrorKind.KILLED, ErrorKind.HUNG])
+def test_a_crash_is_tried_again_behind_the_others_and_not_for_ever(kind: ErrorKind) -> None:
+    """Two retries: the third crash is the end, and costs no other job."""
+    scheduler = Scheduler("ab", slots=1)
+    order = []
+    while not scheduler.finished:
+        (job,) = start_all(scheduler)
+        order.append(job)
+        scheduler.end(job, failed(kind) if job == "a" else DONE)
+    assert order == ["a", "b", "a", "a"]
+    assert scheduler.exit_code() is Exit.FAILED
+
+
+def test_a_mistake_is_not_tried_again() -> None:
+    """The same configuration would fail in the same way."""
+    scheduler = Scheduler("a", slots=1)
+    start_all(scheduler)
+    assert scheduler.end("a", failed(ErrorKind.REFUSED)) is Phase.FAILED
+    assert scheduler.exit_code() is Exit.FAILED
+
+
+def test_progress_forgives_crashes() -> None:
+    """A job that keeps being killed but comes further every time is never given up; one that repeats itself is."""
+    scheduler = Scheduler("a", slots=1)
+    for rows in range(10):
+        start_all(scheduler)
+        scheduler.resumed("a", rows)
+        assert scheduler.end("a", failed(ErrorKind.KILLED)) is Phase.WAITING
+    for _ in range(2):
+        start_all(scheduler)
+        scheduler.resumed("a", 9)
+        last = scheduler.end("a", failed(ErrorKind.KILLED))
+    assert last is Phase.FAILED
+
+
+def test_a_full_disk_stops_the_sweep_without_failing_anything() -> None:
+    """No job starts into it, running ones may try to end, and the command can be repeated."""
+    scheduler = Scheduler("abc", slots=2)
+    start_all(scheduler)
+    assert scheduler.end("a", failed(ErrorKind.STORAGE)) is Phase.STOPPED
+    assert scheduler.next() is None
+    assert not scheduler.finished
+    scheduler.end("b", DONE)
+    assert scheduler.finished
+    assert scheduler.exit_code() is Exit.INCOMPLETE
+
+
+def test_after_stop_nothing_starts_and_crashes_are_not_tried_again() -> None:
+    """A stopped sweep ends when its workers have left, incomplete."""
+    scheduler = Scheduler("abc", slots=2)
+    start_all(scheduler)
+    scheduler.stop()
+    scheduler.end("a", STOPPED)
+    scheduler.end("b", failed(ErrorKind.KILLED))
+    assert scheduler.finished
+    assert scheduler.exit_code() is Exit.INCOMPLETE
+
+
+def test_a_job_elsewhere_takes_no_slot_and_is_waited_for() -> None:
+    """It may be finished there, or be given up and start here before all others."""
+    scheduler = Scheduler("abc", slots=1)
+    start_all(scheduler)
+    assert scheduler.end("a", ELSEWHERE) is Phase.ELSEWHERE
+    assert scheduler.elsewhere == ["a"]
+    assert start_all(scheduler) == ["b"]
+    scheduler.end("b", ELSEWHERE)
+    scheduler.free("a")
+    assert start_all(scheduler) == ["a"]
+    scheduler.end("a", DONE)
+    start_all(scheduler)
+    scheduler.end("c", DONE)
+    assert not scheduler.finished
+    scheduler.end("b", DONE)
+    assert scheduler.finished
+    assert scheduler.exit_code() is Exit.DONE
+
+
+def test_a_job_ends_once() -> None:
+    """Being told twice is a mistake of the caller's, not a second result."""
+    scheduler = Scheduler("a", slots=1)
+    start_all(scheduler)
+    scheduler.end("a", DONE)
+    with pytest.raises(ValueError, match="ended already"):
+        scheduler.end("a", DONE)
+
+
+@given(st.data(), st.integers(1, 8), st.integers(1, 4))
+def test_whatever_happens_every_job_ends_in_one_phase(data: st.DataObject, jobs: int, slots: int) -> None:
+    """Under any order of events the counts add up, no slot is overbooked, and the exit code says what is left."""
+    scheduler = Scheduler(map(str, range(jobs)), slots=slots)
+    running: list[str] = []
+    outcomes = st.sampled_from([DONE, STOPPED, ELSEWHERE, *map(failed, ErrorKind)])
+    for _ in range(200):
+        running += start_all(scheduler)
+        assert len(running) <= slots
+        assert sum(scheduler.counts().values()) == jobs
+        if scheduler.finished:
+            break
+        if running:
+            scheduler.end(running.pop(data.draw(st.integers(0, len(running) - 1))), data.draw(outcomes))
+        for job in scheduler.elsewhere:
+            scheduler.end(job, DONE)
+    assert scheduler.finished
+    counts = scheduler.counts()
+    incomplete = counts[Phase.STOPPED] + counts[Phase.WAITING] + counts[Phase.ELSEWHERE]
+    expected = Exit.INCOMPLETE if incomplete else Exit.FAILED if counts[Phase.FAILED] else Exit.DONE
+    assert expected is scheduler.exit_code()
