@@ -1,6 +1,6 @@
 """What a plan will cost, in core-hours: from runs of the same kind where the store has some, else from a model.
 
-Measured: `steps / (steps per second)`, the median rate of the stored runs of the same task, method and variant.
+Every job starts for 3 s. Measured: `steps / (steps per second)` on top, the median rate of the stored runs of the same task, method and variant.
 
 Modelled, for P weights of a network, B transitions in a batch and G floating-point operations per second of this core
 in matrix products (`measure_gemm`):
@@ -43,6 +43,7 @@ _SIMULATOR_S = {
     "dmc": 1 / 3200, "walker-walk": 1 / 4900,
     "toy": 1 / 30_000,
 }  # fmt: skip
+_START_S = 3.0  # loading torch and the simulator in a process of its own
 _CALL_S = 0.0005  # an update's cost beside its products: launching operations, optimisers
 _ACT_S = 0.0003
 _SLACK = 1.2  # elementwise work beside the products
@@ -94,7 +95,7 @@ def estimate(plan: Plan, rates: Rates, gemm: float | None = None) -> Estimate:
     for job in plan.jobs:
         rate = rates.get((job.task, job.method, plan.variant))
         if rate is not None:
-            seconds[job.id] = job.config.steps / rate
+            seconds[job.id] = _START_S + job.config.steps / rate
             measured.add(job.id)
             continue
         cell = (job.task, job.method, job.teacher, job.feedback)  # seeds cost the same
@@ -153,7 +154,7 @@ def model_seconds(config: RunConfig, gemm: float) -> float:
     states = config.random_steps + config.exploration.unsupervised_steps / 2
     entropy = config.exploration.unsupervised_steps * 2 * agent.batch * spec.obs_dim * states / gemm
     evaluated = math.ceil(config.steps / config.evaluation.every) * config.evaluation.episodes * config.episode_steps
-    return (config.steps + evaluated) * step + updates * update + entropy + _reward_seconds(config, gemm)
+    return _START_S + (config.steps + evaluated) * step + updates * update + entropy + _reward_seconds(config, gemm)
 
 
 def _reward_seconds(config: RunConfig, gemm: float) -> float:

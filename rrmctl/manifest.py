@@ -2,7 +2,7 @@
 
 A manifest is a grid (tasks x methods x teachers x feedback schedules x seeds) plus what differs from the defaults. Only
 its structure is checked here; whether its settings make runs that can be run is for `rrmctl.plan` to say. The format is
-described in docs/extending.md; every key is a field below.
+described in docs/manifests.md; every key is a field below.
 """
 
 from __future__ import annotations

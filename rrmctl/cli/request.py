@@ -117,7 +117,9 @@ def smaller(request: Request, plan: Plan) -> list[str]:
             lines.append(f"--profile {name}: about {duration(hours)} of one core; {scale.about}")
             bound = hours
     if len(plan.jobs) > 1:
-        lines.append("a part of it: --seeds 3, --tasks ..., --methods ...; more can be added later, nothing runs twice")
+        lines.append(
+            "a part of it: fewer --seeds, some --tasks or --methods; the rest can be added later, nothing runs twice"
+        )
     return lines
 
 

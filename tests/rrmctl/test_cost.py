@@ -37,7 +37,7 @@ def test_known_reward_by_hand() -> None:
     weights_critic = 43 * 256 + 2 * 256 * 256 + 256 * 1
     update = 0.0005 + 1.2 * 2 * 512 * (4 * weights_actor + 12 * weights_critic) / (100 * GIGA)
     steps = (25_000 + 3 * 10 * 500) * (1 / 1800 + 0.0003)  # evaluated at 10k, 20k and the end
-    assert model_seconds(oracle(), 100 * GIGA) == pytest.approx(24_000 * update + steps)
+    assert model_seconds(oracle(), 100 * GIGA) == pytest.approx(3 + 24_000 * update + steps)
 
 
 def test_a_faster_core_costs_less() -> None:
@@ -71,8 +71,10 @@ def test_only_what_is_left_is_counted() -> None:
     """A finished job costs nothing more, one half done half as much."""
     plan = toy(seeds="1")
     cost = estimate(plan, {(job.task, job.method, "paper"): 100.0 for job in plan.jobs})
-    assert cost.core_hours() == pytest.approx(2 * 15_000 / 100 / 3600)
-    assert cost.core_hours({plan.jobs[0].id: 0.0, plan.jobs[1].id: 0.5}) == pytest.approx(0.5 * 15_000 / 100 / 3600)
+    assert cost.core_hours() == pytest.approx(2 * (3 + 15_000 / 100) / 3600)
+    assert cost.core_hours({plan.jobs[0].id: 0.0, plan.jobs[1].id: 0.5}) == pytest.approx(
+        0.5 * (3 + 15_000 / 100) / 3600
+    )
 
 
 def store(root: Path, plan: Plan, *states: Status) -> Layout:
@@ -102,7 +104,7 @@ def test_stored_speeds_come_first(tmp_path: Path) -> None:
     assert rates == {("toy-car", "oracle", "paper"): 500.0}
     cost = estimate(plan, rates, 100 * GIGA)
     assert {job.method for job in plan.jobs if job.id in cost.measured} == {"oracle"}
-    assert cost.seconds[plan.jobs[0].id] == 30.0
+    assert cost.seconds[plan.jobs[0].id] == 33.0
     assert "2 of 4 jobs" in cost.source
     smaller = toy(overrides={"agent.batch": 8})
     assert not estimate(smaller, rates, 100 * GIGA).measured

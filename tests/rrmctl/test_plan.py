@@ -483,3 +483,15 @@ def test_any_override_text_is_read_or_refused(key: str, text: str) -> None:
     except UserError:
         return
     assert list(plan.overrides) == [key]
+
+
+def test_documented_manifests_plan(tmp_path: Path) -> None:
+    """The examples in docs/manifests.md make plans at every scale."""
+    page = (EXPERIMENTS.parent / "docs" / "manifests.md").read_text()
+    examples = [block.partition("```")[0] for block in page.split("```toml\n")[1:]]
+    assert len(examples) == 2
+    (tmp_path / "my_priors.py").write_text("def closer(): ...")
+    for text in examples:
+        (tmp_path / "example.toml").write_text(text)
+        for scale in profiles():
+            assert make_plan(manifest.load(tmp_path / "example.toml"), profile=scale).jobs
