@@ -1,6 +1,7 @@
 """What a plan will cost, in core-hours: from runs of the same kind where the store has some, else from a model.
 
-Every job starts for 3 s. Measured: `steps / (steps per second)` on top, the median rate of the stored runs of the same task, method and variant.
+A job takes 3 s to start. Measured, on top of that: `steps / (steps per second)`, the rate being the median over the
+stored runs of the same task, method and variant.
 
 Modelled, for P weights of a network, B transitions in a batch and G floating-point operations per second of this core
 in matrix products (`measure_gemm`):
