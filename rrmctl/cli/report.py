@@ -14,7 +14,7 @@ from rrmctl.errors import UserError
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from rrmctl.reports.select import Section
+    from rrmctl.reports.series import Section
 
 report_app = typer.Typer(no_args_is_help=True, help="Tables from the store, with intervals and what is missing.")
 
@@ -37,7 +37,7 @@ class Iqm(StrEnum):
 
 
 NameArgument = Annotated[
-    str | None, typer.Argument(metavar="[NAME]", help="An experiment of the store; without it, all of them.")
+    str | None, typer.Argument(metavar="NAME", help="An experiment of the store; without it, all of them.")
 ]
 OneNameArgument = Annotated[str, typer.Argument(metavar="NAME", help="An experiment of the store.")]
 ProfileOption = Annotated[
@@ -74,11 +74,12 @@ def iqm(
         int, typer.Option("--replicates", min=100, help="Resampled data sets behind each interval.")
     ] = 10_000,
 ) -> None:
-    """Interquartile mean of each method at its task's common step, with 95 % bootstrap intervals over seeds.
+    """Interquartile mean of each method, with 95 % bootstrap intervals over seeds.
 
-    Success is read at the first step at which 80 % of the seeds of any method but the oracle are at 100 %, else at the
-    last step; returns at the last step. Profiles and overrides never share a table. The whole curves are written to
-    aggregates/NAME.parquet below the results folder.
+    Success is read at the first step at which 80 % of the seeds of any
+    method but the oracle are at 100 %, else at the last step; returns at
+    the last step. Profiles and overrides never share a table. The whole
+    curves are written to aggregates/NAME.parquet in the results folder.
     """
     from rrmctl.reports import aggregates
     from rrmctl.reports.render import console_for, print_terminal, to_text
@@ -116,7 +117,8 @@ def plot(
 ) -> None:
     """Draw the learning curves as PNG and PDF and print their paths.
 
-    One panel for each task: interquartile mean over seeds, band from the 25th to the 75th percentile, oracle dotted.
+    One panel for each task: interquartile mean over seeds, band from the
+    25th to the 75th percentile of the seeds, oracle dotted.
     """
     from rrmctl.reports.figures import draw, encode
     from rrmctl.reports.select import of_profile, read_sections
@@ -138,13 +140,10 @@ def _with_runs(sections: Sequence[Section]) -> list[Section]:
 
 
 def _figure_name(section: Section) -> str:
-    """Experiment, profile unless it is the paper's, and the variant's digits where settings were overridden."""
-    parts = [section.experiment]
-    if section.profile != "paper":
-        parts.append(section.profile)
-    if section.overrides:
-        parts.append(section.variant)
-    return "-".join(parts)
+    """Experiment and variant; the paper's own needs no mention."""
+    from rrmctl.profiles import PAPER
+
+    return section.experiment if section.variant == PAPER else f"{section.experiment}-{section.variant}"
 
 
 def _stem(name: str | None) -> str | None:

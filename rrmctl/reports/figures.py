@@ -13,7 +13,8 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 from rrmctl.errors import UserError
-from rrmctl.reports.select import Panel, Section, Series, sections
+from rrmctl.reports.select import sections
+from rrmctl.reports.series import ORACLE, Panel, Section, Series
 from rrmctl.reports.styles import style
 from rrmctl.reports.words import absent_notes, title
 from rrmctl.stats import iqm, quartiles
@@ -32,6 +33,8 @@ _SINGLE = (4.6, 3.0)
 _ACROSS = 3
 _MARKERS_A_LINE = 8
 _LINE: dict[str, Any] = {"linewidth": 1.3, "markersize": 3.6, "markeredgewidth": 0}
+#: In font sizes. Long handles, or the marker would hide the gap of a dashed line.
+_LEGEND: dict[str, Any] = {"borderaxespad": 0.2, "columnspacing": 1.4, "handlelength": 3.2}
 
 _UNITS = {"success": "Success rate (%)", "return": "Return (true reward)"}
 
@@ -89,7 +92,7 @@ def draw(section: Section, *, kind: IqmKind = "rliable") -> Figure:
     down = math.ceil(len(panels) / across)
     width, height = (across * _PANEL[0], down * _PANEL[1] + 0.3) if len(panels) > 1 else _SINGLE
     counts = _counts(panels)
-    columns = max(1, int(width / (0.62 + 0.055 * max(len(label) for label in counts.values()))))
+    columns = _legend_columns(list(counts.values()), width)
     notes = _notes(section, kind, width)
     below = 0.12 + 0.17 * math.ceil(len(counts) / columns) + 0.125 * len(notes)
     with mpl.rc_context(_LOOK):
@@ -110,9 +113,7 @@ def draw(section: Section, *, kind: IqmKind = "rliable") -> Figure:
             if position % across == 0 or panels[position - 1].score != panel.score:
                 axes.set_ylabel(_UNITS[panel.score])
         handles = [_handle(method, label) for method, label in counts.items()]
-        # Long handles, or the marker would hide the gap of a dashed line.
-        spacing = {"borderaxespad": 0.2, "columnspacing": 1.4, "handlelength": 3.2}
-        lower.legend(handles=handles, loc="upper center", ncols=columns, **spacing)
+        lower.legend(handles=handles, loc="upper center", ncols=columns, **_LEGEND)
         lower.text(0.5, 0.03, "\n".join(notes), ha="center", va="bottom", fontsize=6.5, color="#444444")
     return figure
 
@@ -148,12 +149,14 @@ def _draw_series(axes: Axes, series: Series, kind: IqmKind, position: int) -> No
     every = math.ceil(series.steps.size / _MARKERS_A_LINE)
     # The oracle is told apart by its dots alone, but a single evaluation has no line to dot.
     marker = look.marker or ("." if series.steps.size == 1 else "")
+    on_top = 3 if series.label.method == ORACLE else 2  # dots on a line can be seen, a line on dots hides them
     axes.plot(
         series.steps,
         scale * iqm(series.values, kind, axis=0),
         color=look.color,
         linestyle=look.linestyle,
         marker=marker,
+        zorder=on_top,
         markevery=(position % every, every),  # staggered, so that lines on top of one another can be told apart
         **_LINE,
     )
@@ -178,6 +181,17 @@ def _counts(panels: Sequence[Panel]) -> dict[str, str]:
     return {method: f"{method} (n = {'–'.join(map(str, counts))})" for method, counts in ends.items()}
 
 
+def _legend_columns(labels: Sequence[str], width: float) -> int:
+    """As many columns as fit into `width` inches, at the legend's font size of 8 points."""
+    handle, letter, gap = 0.47, 0.058, 0.16
+    for columns in range(len(labels), 1, -1):
+        rows = math.ceil(len(labels) / columns)
+        widest = [max(map(len, labels[start : start + rows])) for start in range(0, len(labels), rows)]
+        if sum(handle + letter * letters + gap for letters in widest) - gap <= width:
+            return columns
+    return 1
+
+
 def _panel_title(panel: Panel, panels: Sequence[Panel]) -> str:
     """The task, and what else tells the panel from the others of its task."""
     others = [each for each in panels if each.task == panel.task]
@@ -197,7 +211,7 @@ def _notes(section: Section, kind: IqmKind, width: float) -> list[str]:
         *absent_notes(section),
         *section.problems,
     ]
-    return textwrap.wrap(" ".join(sentences), int(width * 21))
+    return textwrap.wrap(" ".join(sentences), int(width * 22))
 
 
 def _steps(steps: float) -> str:

@@ -10,149 +10,23 @@ from __future__ import annotations
 import json
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import numpy.typing as npt
 
-from rrm.envs.tasks import Score, task
+from rrm.envs.tasks import task
 from rrmctl.errors import UserError
 from rrmctl.manifest import nearest
-from rrmctl.stats import CommonStep, common_step
+from rrmctl.reports.series import Absent, Label, Section, Series
 from rrmctl.store.layout import Layout
 from rrmctl.store.reader import load, open_results, planned, read_config
 
 if TYPE_CHECKING:
     import pandas as pd
 
-Floats = npt.NDArray[np.float64]
-Steps = npt.NDArray[np.int64]
-
-#: What stands for teacher and feedback where nothing is asked; such a series belongs to every panel of its task.
-NOTHING_ASKED = "-"
-ORACLE = "oracle"
-
 _COLUMN = {"success": "success", "return": "true_return"}
 _UNDER_WAY = ("running", "interrupted", "queued")
-
-
-class Label(NamedTuple):
-    """What a series is called in its experiment."""
-
-    task: str
-    method: str
-    teacher: str
-    feedback: str
-
-    def __str__(self) -> str:
-        asked = [each for each in (self.teacher, self.feedback) if each != NOTHING_ASKED]
-        return f"{self.task}, {self.method}" + (f" ({', '.join(asked)})" if asked else "")
-
-
-class Absent(NamedTuple):
-    """A planned run that is not in its series."""
-
-    label: Label
-    seed: int
-    run: str
-    state: str
-
-
-@dataclass(frozen=True, eq=False)
-class Series:
-    """The runs one averages over."""
-
-    label: Label
-    score: Score
-    steps: Steps  #: [T], the evaluation steps that all of these runs have
-    values: Floats  #: [S, T], success as a fraction or true return; finite
-    seeds: tuple[int, ...]  #: [S]
-    runs: tuple[str, ...]  #: [S]
-    planned: int  #: runs that were asked for
-    finished: bool  #: False: runs under way, read as far as all of them have come
-
-    @property
-    def n(self) -> int:
-        """Runs in the series; 0 where none has an evaluation to show."""
-        return len(self.seeds)
-
-
-@dataclass(frozen=True, eq=False)
-class Panel:
-    """The series that are compared with one another: one task under one teacher and schedule."""
-
-    task: str
-    teacher: str
-    feedback: str
-    score: Score
-    series: tuple[Series, ...]
-
-    def present(self) -> tuple[Series, ...]:
-        """The series with at least one run."""
-        return tuple(each for each in self.series if each.n)
-
-    def steps(self) -> Steps:
-        """Evaluation steps common to all series present.
-
-        Raises:
-            UserError: there is none, so the methods cannot be compared.
-        """
-        present = self.present()
-        common = present[0].steps
-        for each in present[1:]:
-            common = np.intersect1d(common, each.steps)
-        if common.size == 0:
-            seen = "; ".join(f"{s.label.method} at {s.steps[0]:,} to {s.steps[-1]:,}" for s in present)
-            raise UserError(f"{self.task}: no evaluation step is common to all methods: {seen}")
-        return common
-
-    def read_at(self) -> CommonStep:
-        """The step at which the methods are compared: the paper's rule for success, the last one for returns."""
-        steps = self.steps()
-        if self.score == "return":
-            return CommonStep(index=steps.size - 1, step=int(steps[-1]), reached=False, by=())
-        success = {each.label.method: at_steps(each, steps) for each in self.present()}
-        return common_step(steps, success, oracle=ORACLE)
-
-
-@dataclass(frozen=True, eq=False)
-class Section:
-    """One variant of one experiment: everything that may stand in one table."""
-
-    experiment: str
-    profile: str
-    variant: str
-    overrides: Mapping[str, Any]
-    series: tuple[Series, ...]
-    absent: tuple[Absent, ...]
-    planned: int  #: runs that were asked for
-    evaluation: tuple[str, ...]  #: the protocol behind the scores; several where methods differ
-    problems: tuple[str, ...]  #: what had to be left out of a series, and why
-
-    @property
-    def contained(self) -> int:
-        """Planned runs that are in it."""
-        return len({run for each in self.series for run in each.runs})
-
-    def panels(self) -> tuple[Panel, ...]:
-        """The comparisons, in the order of the plan; those without any run are left out."""
-        found = []
-        for name in dict.fromkeys(each.label.task for each in self.series):
-            here = [each for each in self.series if each.label.task == name]
-            asked = dict.fromkeys(each.label[2:] for each in here if each.label.teacher != NOTHING_ASKED)
-            for teacher, feedback in asked or {(NOTHING_ASKED, NOTHING_ASKED): None}:
-                own = ((teacher, feedback), (NOTHING_ASKED, NOTHING_ASKED))
-                members = tuple(each for each in here if each.label[2:] in own)
-                if any(each.n for each in members):
-                    found.append(Panel(name, teacher, feedback, members[0].score, members))
-        return tuple(found)
-
-
-def at_steps(series: Series, steps: Steps) -> Floats:
-    """The series' values at these of its steps, [S, len(steps)]."""
-    return series.values[:, np.searchsorted(series.steps, steps)]
 
 
 def read_sections(results: str | Path, experiment: str | None = None) -> tuple[Section, ...]:
@@ -166,12 +40,11 @@ def read_sections(results: str | Path, experiment: str | None = None) -> tuple[S
     if not known:
         raise UserError(f"{layout.root} holds no experiment yet", "start one, e.g. `rrmctl run quickstart`")
     if experiment is not None and experiment not in known:
-        raise UserError(
-            f'{layout.root} holds no runs of "{experiment}"{nearest(experiment, known)}',
-            f"it holds: {', '.join(known)}; `rrmctl run {experiment}` starts it",
-        )
+        near = nearest(experiment, known)
+        start = "" if near else f"; `rrmctl run {experiment}` starts it"
+        raise UserError(f'{layout.root} holds no runs of "{experiment}"{near}', f"it holds: {', '.join(known)}{start}")
     rows, jobs = load(results, experiment), planned(results, experiment)
-    jobs = jobs[jobs["experiment"] != ""]
+    # Runs that no sweep asked for have no labels to be reported under.
     return sections(rows[rows["experiment"] != ""], jobs, evaluation=_evaluation(layout, rows))
 
 

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from rrmctl.reports.select import Floats, Panel, Section, Series, Steps, at_steps
+from rrmctl.reports.series import Floats, Panel, Section, Series, Steps, at_steps
 from rrmctl.stats import (
     REPLICATES,
     Estimate,

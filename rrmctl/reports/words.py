@@ -8,7 +8,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from rrmctl.reports.select import Panel, Section
+from rrmctl.reports.series import Panel, Section
 from rrmctl.reports.tables import (
     ALL_TASKS,
     BOOTSTRAP_SEED,
@@ -25,7 +25,7 @@ from rrmctl.reports.tables import (
 if TYPE_CHECKING:
     import pandas as pd
 
-    from rrmctl.reports.select import Series
+    from rrmctl.reports.series import Series
 
 #: Beside a step that is merely the last one, and before the note that says so.
 LAST_MARK = "*"

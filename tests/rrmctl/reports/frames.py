@@ -33,7 +33,7 @@ class Sweep:
     tasks: tuple[str, ...] = ("button-press",)
     experiment: str = "main-results"
     profile: str = "laptop"
-    variant: str = "aaaa"
+    variant: str = "laptop"
     overrides: dict[str, object] = field(default_factory=dict)
     feedback: str = FEEDBACK
     states: dict[tuple[str, str, int], str] = field(default_factory=dict)  #: (task, method, seed); done otherwise

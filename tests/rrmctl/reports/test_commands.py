@@ -41,7 +41,7 @@ def test_without_a_name_every_experiment_is_reported(results):
 
 def test_a_profile_can_be_singled_out(results):
     """`--profile` leaves the other profiles out of the table, and in the aggregated file."""
-    Sweep(profile="smoke", variant="s").write(results)
+    Sweep(profile="smoke", variant="smoke").write(results)
     options = ("--results", results, "--format", "json", "--replicates", 100)
     ran = rrmctl("report", "iqm", "main-results", "--profile", "smoke", *options)
     assert [report["profile"] for report in json.loads(ran.stdout)["reports"]] == ["smoke"]
@@ -110,11 +110,11 @@ def test_figures_are_written_and_named(results):
 
 def test_figures_of_variants_do_not_overwrite_one_another(results, tmp_path):
     """Overrides put the variant's digits into the name; the paper's profile needs no mention."""
-    Sweep(profile="paper", variant="feed", overrides={"agent.batch": 64}).write(results)
-    Sweep(profile="paper", variant="beef").write(results)
+    Sweep(profile="paper", variant="paper-feed", overrides={"agent.batch": 64}).write(results)
+    Sweep(profile="paper", variant="paper").write(results)
     rrmctl("plot", "main-results", "--results", results, "-o", tmp_path / "out")
     names = sorted(path.name for path in (tmp_path / "out").glob("*.png"))
-    assert names == ["main-results-feed.png", "main-results-laptop.png", "main-results.png"]
+    assert names == ["main-results-laptop.png", "main-results-paper-feed.png", "main-results.png"]
 
 
 def test_the_commands_load_nothing_heavy():

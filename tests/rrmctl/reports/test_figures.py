@@ -63,10 +63,23 @@ def test_missing_runs_stand_below_the_figure():
     assert "14 of 15 planned runs. Not contained, failed:" in words(figure).replace("\n", " ")
 
 
+@pytest.mark.parametrize("tasks", [("button-press",), ("button-press", "door-open")])
+def test_the_legend_stays_within_the_figure(tasks):
+    """However many methods there are, no entry is cut off at the figure's edge."""
+    names = ["oracle", "pebble", *(f"{f}-{p}" for f in ("rrm", "sac") for p in ("proxy", "language", "sparse", "o2g"))]
+    figure = learning_curves(*Sweep(curves=dict.fromkeys(names, ((0.1, 0.2),)), tasks=tasks).frames())
+    encode(figure, "png")
+    (found,) = figure.findobj(mpl.legend.Legend)
+    box, page = found.get_window_extent(), figure.bbox
+    assert page.x0 <= box.x0 < box.x1 <= page.x1
+    assert page.y0 <= box.y0 < box.y1 <= page.y1
+    assert all(box.y1 <= axes.get_window_extent().y0 for axes in panels(figure))
+
+
 def test_a_figure_of_two_variants_is_refused():
     """Profiles and overrides never share a figure."""
     both = (pd.concat(pair) for pair in zip(Sweep().frames(), Sweep(variant="b").frames(), strict=True))
-    with pytest.raises(UserError, match="main-results/aaaa, main-results/b"):
+    with pytest.raises(UserError, match="main-results/laptop, main-results/b"):
         learning_curves(*both)
 
 

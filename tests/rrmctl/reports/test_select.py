@@ -4,7 +4,8 @@ import pytest
 
 from rrm.errors import UnknownNameError
 from rrmctl.errors import UserError
-from rrmctl.reports.select import Label, at_steps, of_profile, read_sections, sections
+from rrmctl.reports.select import of_profile, read_sections, sections
+from rrmctl.reports.series import Label, at_steps
 from tests.rrmctl.reports.frames import FEEDBACK, RISING, SATURATED, Sweep
 
 
