@@ -1,7 +1,7 @@
 """A worker with a trainer that trains nothing: real process, real store, and every way to end that a test needs.
 
 What a run does is said in the environment variable STANDIN: a JSON object from seed (as text) to behaviour, with
-"other" for seeds it does not name.
+"other" for seeds it does not name. It happens after half the run and five steps; "gate" means to wait there for a file `go` in the results root.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from rrmctl.store.layout import Layout
 from rrmctl.store.records import JobRecord, SweepRecord, record_config, record_sweep
 
 COMMAND = (sys.executable, __file__)
-STEP_S = 0.01
+STEP_S = 0.002
 
 
 def config(seed: int, steps: int = 40, every: int = 10) -> RunConfig:
@@ -45,13 +45,18 @@ def prepare(root: Path, seeds: range, steps: int = 40, every: int = 10) -> tuple
         record_config(layout.run(each.identity), config_content(each))
     jobs = tuple(
         JobRecord(
-            id=each.identity, cell=each.cell, task="toy-car", method="oracle", teacher="-", feedback="-", seed=each.seed,
-            steps=steps,
+            id=each.identity, cell=each.cell, task="toy-car", method="oracle", teacher="-", feedback="-",
+            seed=each.seed, steps=steps,
         )
         for each in configs
     )  # fmt: skip
     record_sweep(layout, SweepRecord(experiment="stand-in", variant="smoke", profile="smoke", jobs=jobs))
     return layout, [Assignment(id=job.id, label=job.label, steps=steps) for job in jobs]
+
+
+def expected(seeds: range, steps: int = 40, every: int = 10) -> list[tuple[int, int, float]]:
+    """Seed, step and return of every row of an undisturbed sweep."""
+    return [(seed, step, row(step, seed).true_return) for seed in seeds for step in range(every, steps + 1, every)]
 
 
 def row(step: int, seed: int = 0, **changes: float) -> EvalRow:
@@ -83,8 +88,8 @@ class Trainer:
                 monitor.row(row(step, config.seed))
                 if step < config.steps:
                     save(checkpoint, step)
-            if step == config.steps // 2:
-                misbehave(behaviour, folder)
+            if step == config.steps // 2 + 5 and behaviour != "train":
+                misbehave(behaviour, folder, monitor)
             if monitor.should_stop():
                 save(checkpoint, step)
                 return False
@@ -98,10 +103,13 @@ def save(path: Path, step: int) -> None:
     path.with_suffix(".tmp").replace(path)
 
 
-def misbehave(behaviour: str, folder: Path) -> None:
+def misbehave(behaviour: str, folder: Path, monitor: worker.RunMonitor) -> None:
     first = not (folder / "misbehaved").exists()
     (folder / "misbehaved").touch()
     match behaviour:
+        case "gate":
+            while not (folder.parents[1] / "go").exists() and not monitor.should_stop():
+                time.sleep(0.02)
         case "crash":
             raise RuntimeError("boom")
         case "crash-once" if first:

@@ -56,8 +56,8 @@ def test_a_sweep_asked_for_twice_is_the_union(tmp_path: Path) -> None:
     record_sweep(layout, sweep(job(0), job(1)))
     union = record_sweep(layout, sweep(job(1), job(2)))
     record_sweep(layout, sweep(job(7), variant="paper"))
-    assert [0, 1, 2] == [j.seed for j in union.jobs]
-    assert {"smoke": [0, 1, 2], "paper": [7]} == {s.variant: [j.seed for j in s.jobs] for s in read_sweeps(layout, "e")}
+    assert [j.seed for j in union.jobs] == [0, 1, 2]
+    assert {s.variant: [j.seed for j in s.jobs] for s in read_sweeps(layout, "e")} == {"smoke": [0, 1, 2], "paper": [7]}
     assert read_sweeps(layout) == read_sweeps(layout, "e")
 
 
@@ -145,11 +145,13 @@ def test_load_is_one_row_per_label_and_evaluation(tmp_path: Path) -> None:
     record_sweep(layout, dataclasses.replace(record, experiment="other", jobs=(renamed,)))
     frame = load(tmp_path, "stand-in")
     assert [*LABELS, "run", "cell", "state", *MEASURED] == list(frame.columns)
-    assert [(0, 10, 10.0), (0, 20, 20.0), (1, 10, 1010.0)] == list(
-        frame[["seed", "step", "true_return"]].itertuples(index=False, name=None)
-    )
+    assert list(frame[["seed", "step", "true_return"]].itertuples(index=False, name=None)) == [
+        (0, 10, 10.0),
+        (0, 20, 20.0),
+        (1, 10, 1010.0),
+    ]
     everything = load(tmp_path)
-    assert {"stand-in": 3, "other": 2} == everything.groupby("experiment").size().to_dict()
+    assert everything.groupby("experiment").size().to_dict() == {"stand-in": 3, "other": 2}
     assert {"teacher-free"} == set(everything[everything["experiment"] == "other"]["method"])
 
 
@@ -159,9 +161,9 @@ def test_runs_that_no_sweep_names_appear_without_experiment(tmp_path: Path) -> N
     with_rows(layout, jobs[0].id, 10)
     (tmp_path / "sweeps").rename(tmp_path / "elsewhere")
     frame = load(tmp_path)
-    assert [("", "oracle", 0, 10)] == list(
-        frame[["experiment", "method", "seed", "step"]].itertuples(index=False, name=None)
-    )
+    assert list(frame[["experiment", "method", "seed", "step"]].itertuples(index=False, name=None)) == [
+        ("", "oracle", 0, 10)
+    ]
 
 
 def test_planned_tells_what_is_missing(tmp_path: Path) -> None:
@@ -170,9 +172,9 @@ def test_planned_tells_what_is_missing(tmp_path: Path) -> None:
     error = RunError(kind=ErrorKind.REFUSED, type="PriorError", message="NaN")
     write_status(layout.run(jobs[1].id), Status(state=State.FAILED, attempt=1, step=7, steps=40, error=error))
     frame = planned(tmp_path, "stand-in")
-    assert ["queued", "failed"] == frame["state"].tolist()
-    assert ["", "PriorError: NaN"] == frame["error"].tolist()
-    assert [40, 40] == frame["steps"].tolist()
+    assert frame["state"].tolist() == ["queued", "failed"]
+    assert frame["error"].tolist() == ["", "PriorError: NaN"]
+    assert frame["steps"].tolist() == [40, 40]
 
 
 def test_a_damaged_curve_stops_load_with_its_name(tmp_path: Path) -> None:
@@ -194,7 +196,7 @@ def test_an_experiment_that_never_ran_is_answered_with_those_that_did(tmp_path: 
     assert jobs[0].id == find_run(layout, jobs[0].id[:10]).id
     with pytest.raises(UserError, match="no run in"):
         find_run(layout, "zzz")
-    with pytest.raises(UserError, match="stands for 30 runs: .*, \\.\\.\\."):
+    with pytest.raises(UserError, match=r"stands for 30 runs: .*, \.\.\."):
         find_run(layout, "")
 
 
@@ -218,4 +220,4 @@ def test_the_end_of_a_log(tmp_path: Path) -> None:
     assert log_tail(folder) == []
     folder.path.mkdir(parents=True)
     folder.log.write_bytes(b"\n".join(b"line %d \xff" % n for n in range(5000)))
-    assert ["line 4998 �", "line 4999 �"] == log_tail(folder, 2)
+    assert log_tail(folder, 2) == ["line 4998 �", "line 4999 �"]
