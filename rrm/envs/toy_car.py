@@ -10,18 +10,18 @@ across the straight way, one on either side of it.
 Dynamics, in steps of 0.1 s, for an action a in [-1, 1] x [-1, 1], the engine's pull along x and y; position p (m),
 velocity v (m/s):
 
-    v <- 0.8 v + 0.3 a                  top speed 1.5 m/s along either axis
+    v <- 0.5 v + a                      top speed 2 m/s along either axis
     p <- p + 0.1 v
 
 An obstacle and the edge of the arena cannot be passed: the car is put back onto the edge, and its velocity becomes
-what it really covered, so a head-on hit stops it and a graze slows it down.
+what it really covered (no more than the top speed), so a head-on hit stops it and a graze slows it down.
 
 True reward per step, in [-1.75, 1], from the state after it, with d the distance to the goal and c the clearance, i.e.
 the distance to the nearest obstacle's edge (metres):
 
     r = [d < 0.5] - [d >= 0.5] min(d / 5, 1) ... arrive early, and stay
         - 0.25 [c < 0.1]                     ... keep off the obstacles
-        - 0.25 |v / 1.5|^2 max(0, 1 - c/0.4) ... and be slow near them
+        - 0.25 |v / 2|^2 max(0, 1 - c/0.4)   ... and be slow near them
 
 Success is d < 0.5 at this step. The episode never terminates; its time limit is 100 steps.
 """
@@ -42,7 +42,7 @@ RADIUS = 0.3  #: of every obstacle, metres
 GOAL_RADIUS = 0.5  #: metres; closer counts as success
 DANGER = 0.1  #: metres of clearance below which the car is too close to an obstacle
 CAUTION = 0.4  #: metres of clearance below which speed costs
-TOP_SPEED = 1.5  #: m/s
+TOP_SPEED = 2.0  #: m/s, along either axis
 _STEP_S = 0.1
 _PIXELS = 320  #: side of a rendered frame
 
@@ -68,7 +68,7 @@ class ToyCarEnv(TaskEnv):
 
     def __init__(self, horizon: int = 100, render_mode: str | None = None) -> None:
         across = 2 * ARENA * math.sqrt(2)  # no two points of the arena are further apart
-        high = [ARENA] * 4 + [across] + [2 * TOP_SPEED] * 2 + [across] * 8
+        high = [ARENA] * 4 + [across] + [TOP_SPEED] * 2 + [across] * 8
         low = [-bound for bound in high]
         super().__init__(low, high, obs_dim=15, act_dim=2, horizon=horizon, render_mode=render_mode)
         self.layout = Layout((0.0, 0.0), ((0.0, 0.0),) * 3)
@@ -130,10 +130,14 @@ def _beside(start: Point, goal: Point, along: float, aside: float) -> Point:
 
 def drive(layout: Layout, position: Point, velocity: Point, action: Point) -> tuple[Point, Point]:
     """Position and velocity after one step."""
-    x = position[0] + _STEP_S * (0.8 * velocity[0] + 0.3 * action[0])
-    y = position[1] + _STEP_S * (0.8 * velocity[1] + 0.3 * action[1])
+    x = position[0] + _STEP_S * (0.5 * velocity[0] + action[0])
+    y = position[1] + _STEP_S * (0.5 * velocity[1] + action[1])
     x, y = _outside(x, y, layout.obstacles)
-    return (x, y), ((x - position[0]) / _STEP_S, (y - position[1]) / _STEP_S)
+    return (x, y), (_speed(x - position[0]), _speed(y - position[1]))
+
+
+def _speed(covered: float) -> float:
+    return min(max(covered / _STEP_S, -TOP_SPEED), TOP_SPEED)
 
 
 def observe(layout: Layout, position: Point, velocity: Point) -> list[float]:
@@ -177,7 +181,7 @@ def _outside(x: float, y: float, obstacles: tuple[Point, ...]) -> Point:
     """The point itself, or the nearest one outside every obstacle and inside the arena."""
     for px, py in obstacles:
         distance = math.hypot(x - px, y - py)
-        if 0.0 < distance < RADIUS:  # the very centre cannot be reached: a step is half a radius long at most
+        if 0.0 < distance < RADIUS:  # a step is shorter than the radius: it cannot reach the centre
             x, y = px + (x - px) * RADIUS / distance, py + (y - py) * RADIUS / distance
     return min(max(x, -ARENA), ARENA), min(max(y, -ARENA), ARENA)
 
@@ -194,7 +198,7 @@ def _draw_frame(layout: Layout, position: Point, velocity: Point) -> npt.NDArray
     cv2.circle(frame, pixel(layout.goal), round(GOAL_RADIUS * scale), (170, 220, 170), cv2.FILLED, cv2.LINE_AA)
     for centre in layout.obstacles:
         cv2.circle(frame, pixel(centre), round(RADIUS * scale), (90, 90, 90), cv2.FILLED, cv2.LINE_AA)
-    ahead = (position[0] + 0.3 * velocity[0], position[1] + 0.3 * velocity[1])
+    ahead = (position[0] + 0.2 * velocity[0], position[1] + 0.2 * velocity[1])
     cv2.circle(frame, pixel(position), round(0.1 * scale), (60, 90, 200), cv2.FILLED, cv2.LINE_AA)
     cv2.line(frame, pixel(position), pixel(ahead), (200, 60, 60), 2, cv2.LINE_AA)
     return frame

@@ -14,10 +14,10 @@ LAYOUT = Layout((2.0, 0.0), ((0.0, 0.0), (0.0, 1.0), (0.0, -1.0)))
 
 
 def test_free_driving():
-    """The velocity is 0.8 of the old one and 0.3 of the pull; the position follows it for 0.1 s."""
+    """The velocity is half the old one and the pull; the position follows it for 0.1 s."""
     position, velocity = drive(LAYOUT, (-2.0, 2.0), (1.0, 0.0), (1.0, -0.5))
-    assert velocity == pytest.approx((1.1, -0.15))
-    assert position == pytest.approx((-1.89, 1.985))
+    assert velocity == pytest.approx((1.5, -0.5))
+    assert position == pytest.approx((-1.85, 1.95))
 
 
 def test_hitting_an_obstacle_head_on():
@@ -30,8 +30,8 @@ def test_hitting_an_obstacle_head_on():
 def test_the_edge_of_the_arena():
     """The car stays inside and keeps its speed along the edge."""
     position, velocity = drive(LAYOUT, (2.45, 1.0), (1.0, 1.0), (1.0, 0.0))
-    assert position == pytest.approx((2.5, 1.08))
-    assert velocity == pytest.approx((0.5, 0.8))
+    assert position == pytest.approx((2.5, 1.05))
+    assert velocity == pytest.approx((0.5, 0.5))
 
 
 def test_observation():
@@ -43,15 +43,15 @@ def test_observation():
 @pytest.mark.parametrize(
     ("distance", "free", "speed", "expected"),
     [
-        (2.0, 1.0, 1.5, -0.4),
-        (6.0, 1.0, 1.5, -1.0),
+        (2.0, 1.0, 2.0, -0.4),
+        (6.0, 1.0, 2.0, -1.0),
         (0.49, 1.0, 0.0, 1.0),
         (0.5, 1.0, 0.0, -0.1),
         (2.0, 0.2, 0.0, -0.4),
-        (2.0, 0.2, 1.5, -0.525),
-        (2.0, 0.2, 0.75, -0.43125),
+        (2.0, 0.2, 2.0, -0.525),
+        (2.0, 0.2, 1.0, -0.43125),
         (2.0, 0.0, 0.0, -0.65),
-        (2.0, 0.0, 1.5, -0.9),
+        (2.0, 0.0, 2.0, -0.9),
     ],
 )
 def test_true_reward(distance, free, speed, expected):
