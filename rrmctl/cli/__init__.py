@@ -1,0 +1,1 @@
+"""The commands of `rrmctl`; what they import at module level is light, so that help answers at once."""
