@@ -8,15 +8,15 @@ from rrm.types import State
 
 
 class RunningMoments:
-    """Mean and population variance of all numbers added so far, in float64."""
+    """Mean and standard deviation of all numbers added so far, in float64."""
 
     def __init__(self) -> None:
         self.count = 0
         self.mean = 0.0
         self._squares = 0.0  # sum of squared deviations from the mean
 
-    def add(self, count: int, mean: float, variance: float) -> None:
-        """Take in `count` numbers of this mean and population variance."""
+    def add(self, mean: float, variance: float = 0.0, count: int = 1) -> None:
+        """Take in one number, or `count` numbers of this mean and population variance."""
         delta = mean - self.mean
         total = self.count + count
         self.mean += delta * count / total
@@ -25,8 +25,8 @@ class RunningMoments:
 
     @property
     def std(self) -> float:
-        """Population standard deviation; 0 before two numbers."""
-        return math.sqrt(self._squares / self.count) if self.count else 0.0
+        """Sample standard deviation (divisor n - 1); 1 until there are two numbers."""
+        return 1.0 if self.count < 2 else math.sqrt(self._squares / (self.count - 1))
 
     def state_dict(self) -> State:
         return {"count": self.count, "mean": self.mean, "squares": self._squares}

@@ -7,41 +7,13 @@ main text writes a z-score. Both update with the new value first and then apply.
 
 from __future__ import annotations
 
-import math
 from typing import Protocol
 
 from rrm.errors import UnknownNameError
+from rrm.moments import RunningMoments
 from rrm.types import State
 
 EPSILON = 1e-8  #: of the z-score; the paper names it and gives no value
-
-
-class RunningMoments:
-    """Mean and standard deviation of a stream of numbers (Welford), in float64."""
-
-    def __init__(self) -> None:
-        self.count = 0
-        self.mean = 0.0
-        self._squares = 0.0  # sum of squared deviations from the mean
-
-    def add(self, value: float) -> None:
-        self.count += 1
-        before = value - self.mean
-        self.mean += before / self.count
-        self._squares += before * (value - self.mean)
-
-    @property
-    def std(self) -> float:
-        """Sample standard deviation (divisor n - 1); 1 until there are two values."""
-        return 1.0 if self.count < 2 else math.sqrt(self._squares / (self.count - 1))
-
-    def state_dict(self) -> State:
-        return {"count": self.count, "mean": self.mean, "squares": self._squares}
-
-    def load_state_dict(self, state: State) -> None:
-        self.count = int(state["count"])
-        self.mean = float(state["mean"])
-        self._squares = float(state["squares"])
 
 
 class Normaliser(Protocol):

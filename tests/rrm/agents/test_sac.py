@@ -13,10 +13,10 @@ from hypothesis import strategies as st
 from torch import Tensor
 
 from rrm.agents.sac import Sac
+from rrm.config import AgentConfig
 from rrm.errors import CheckpointError, NumericalError
 from rrm.nets.mlp import StackedMLP
 from rrm.seeding import Streams
-from rrm.config import AgentConfig
 from rrm.types import Batch, State
 from tests.rrm.agents.reference_sac import ReferenceSac, unstack
 
@@ -70,7 +70,7 @@ def test_equals_textbook(obs: int, act: int, hidden: int, layers: int, rows: int
     draws.set_state(streams.torch("agent").get_state())
     for update in range(4):
         batch = make_batch(rows, obs, act, seed + update)
-        noise_next, noise = (torch.empty(rows, act).normal_(generator=draws) for _ in range(2))
+        noise_next, noise = torch.empty(act, 2 * rows).t().normal_(generator=draws).split(rows)
         expected = plain.update(batch, noise_next, noise)
         sac.update(batch)
         assert expected == pytest.approx(sac.metrics(), rel=1e-4, abs=1e-5)

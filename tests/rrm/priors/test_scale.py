@@ -8,7 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rrm.errors import UnknownNameError
-from rrm.priors.scale import RunningMoments, ScaleNormaliser, ZScoreNormaliser, make_normaliser
+from rrm.moments import RunningMoments
+from rrm.priors.scale import ScaleNormaliser, ZScoreNormaliser, make_normaliser
 
 values = st.lists(st.floats(-1e3, 1e3), min_size=1, max_size=50)
 

@@ -1,0 +1,42 @@
+# Two commands for a newcomer: `make quickstart` and `make test`. Everything is installed into .venv.
+
+# The first Python on the path for which the simulators have wheels; `make PYTHON=... ` names another.
+PYTHON ?= $(shell for p in python3 python3.12 python3.11; do \
+	$$p -c 'import sys; sys.exit(not (3, 11) <= sys.version_info[:2] <= (3, 12))' 2>/dev/null && echo $$p && break; done)
+BIN := .venv/bin
+PYTEST := $(BIN)/python -m pytest
+
+.PHONY: quickstart test test-slow check install bench clean
+
+quickstart: install
+	$(BIN)/rrmctl run quickstart
+	$(BIN)/rrmctl report iqm quickstart
+	$(BIN)/rrmctl plot quickstart
+
+test: install
+	$(PYTEST) -n auto -m "not slow"
+
+test-slow: install
+	$(PYTEST) -n auto -m slow
+
+
+check: install
+	$(BIN)/ruff format --check .
+	$(BIN)/ruff check .
+	$(BIN)/mypy
+
+bench: install
+	$(BIN)/python benchmarks/sac_update.py
+
+install: .venv/installed
+
+.venv/installed: pyproject.toml constraints.txt
+	@test -n "$(PYTHON)" || { echo "rrmctl needs Python 3.11 or 3.12 (the simulators have wheels for no other); \
+	install one and run make again, or name it: make PYTHON=/path/to/python3.12 ..." >&2; exit 1; }
+	$(PYTHON) -m venv .venv
+	$(BIN)/python -m pip install --quiet --upgrade pip
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[dev]'
+	@touch $@
+
+clean:
+	rm -rf .venv .mypy_cache .ruff_cache .pytest_cache .hypothesis
