@@ -1,7 +1,8 @@
 """A worker with a trainer that trains nothing: real process, real store, and every way to end that a test needs.
 
 What a run does is said in the environment variable STANDIN: a JSON object from seed (as text) to behaviour, with
-"other" for seeds it does not name. It happens after half the run and five steps; "gate" means to wait there for a file `go` in the results root.
+"other" for seeds it does not name. It happens five steps after half the run, between two checkpoints; "gate" means
+to wait there for a file `go` in the results root.
 """
 
 from __future__ import annotations

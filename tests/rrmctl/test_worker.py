@@ -1,0 +1,195 @@
+"""One worker, called in this process with a stand-in trainer: what it refuses, and what it leaves behind."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from pathlib import Path
+
+import pytest
+
+from rrm.training.config import RewardConfig, RunConfig
+from rrmctl.runfile import config_content, load_config
+from rrmctl.store.atomic import is_locked, try_lock
+from rrmctl.store.layout import Layout, RunFolder
+from rrmctl.store.reader import read_curve
+from rrmctl.store.records import ErrorKind, State, Status, read_status, record_config, write_status
+from rrmctl.worker import WorkerExit, main
+from tests.rrmctl.standin import Trainer, config, prepare
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> RunFolder:
+    layout, assigned = prepare(tmp_path, range(1))
+    return layout.run(assigned[0].id)
+
+
+def work(folder: RunFolder, *options: str) -> WorkerExit:
+    return main([str(folder.path.parents[1]), folder.id, *options], Trainer())
+
+
+def steps(folder: RunFolder) -> list[int]:
+    table = read_curve(folder)
+    assert table is not None
+    return table["step"].to_pylist()
+
+
+def refusal(folder: RunFolder) -> str:
+    """Why the worker refuses the run, as its status tells."""
+    assert work(folder) is WorkerExit.REFUSED
+    status = read_status(folder)
+    assert status.state is State.FAILED
+    assert status.error is not None
+    assert status.error.kind is ErrorKind.REFUSED
+    return status.error.message
+
+
+def test_a_run_from_start_to_end(folder: RunFolder, capsys: pytest.CaptureFixture[str]) -> None:
+    """All rows, a status that says done, a free lock, and a log that says what happened."""
+    assert work(folder) is WorkerExit.DONE
+    assert steps(folder) == [10, 20, 30, 40]
+    status = read_status(folder)
+    assert (status.state, status.attempt, status.step, status.steps, status.rows) == (State.DONE, 1, 40, 40, 4)
+    assert (status.success, status.true_return) == (0.5, 40.0)
+    assert not is_locked(folder.lock)
+    assert [
+        line.split(", process")[0] for line in capsys.readouterr().out.splitlines()
+    ] == ["--- attempt 1", "--- from step 0", "--- done at step 40"]
+
+
+def test_a_finished_run_is_left_alone(folder: RunFolder) -> None:
+    """Nothing is trained or written a second time."""
+    work(folder)
+    before = {path: path.stat().st_mtime_ns for path in folder.path.iterdir()}
+    assert work(folder) is WorkerExit.DONE
+    assert {path: path.stat().st_mtime_ns for path in folder.path.iterdir()} == before
+
+
+def test_fresh_removes_what_the_run_holds(folder: RunFolder) -> None:
+    """The attempt goes on counting, the provenance begins anew."""
+    work(folder)
+    assert work(folder, "--fresh") is WorkerExit.DONE
+    assert read_status(folder).attempt == 2
+    assert json.loads(folder.provenance.read_text())["resumed"] == []
+
+
+def test_a_removal_that_was_cut_short_is_completed(folder: RunFolder) -> None:
+    """A worker that died while it removed the old run does not make the next one go on with the rest of it."""
+    work(folder)
+    folder.curve.unlink()
+    write_status(folder, dataclasses.replace(read_status(folder), state=State.RUNNING, discard=True))
+    assert work(folder) is WorkerExit.DONE
+    assert steps(folder) == [10, 20, 30, 40]
+
+
+def test_a_worker_that_died_just_before_saying_done_is_not_repeated(
+    folder: RunFolder, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The last row and the networks are there: the run is over."""
+    work(folder)
+    write_status(folder, dataclasses.replace(read_status(folder), state=State.RUNNING))
+    capsys.readouterr()
+    assert work(folder) is WorkerExit.DONE
+    assert read_status(folder).state is State.DONE
+    assert "from step" not in capsys.readouterr().out
+
+
+def test_a_run_that_somebody_owns_is_not_touched(folder: RunFolder) -> None:
+    """The loser of a race leaves with a code of its own and writes nothing."""
+    assert try_lock(folder.lock) is not None
+    assert work(folder) is WorkerExit.LOCKED
+    assert not folder.status.exists()
+
+
+def test_an_id_without_configuration_makes_no_folder(tmp_path: Path) -> None:
+    """A mistyped id is refused and leaves no trace."""
+    assert main([str(tmp_path), "feedfacefeedface"], Trainer()) is WorkerExit.REFUSED
+    assert not (tmp_path / "runs").exists()
+
+
+def test_what_changed_since_the_last_attempt_is_said(
+    folder: RunFolder, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Resuming in another environment goes on, and names both environments in log and provenance."""
+    work(folder)
+    folder.model.unlink()
+    write_status(folder, dataclasses.replace(read_status(folder), state=State.INTERRUPTED))
+    monkeypatch.setenv("STANDIN_WORLD", "2")
+    work(folder)
+    assert "differs from the attempt before: fingerprint.toy-car: 1 -> 2" in capsys.readouterr().out
+    (resumed,) = json.loads(folder.provenance.read_text())["resumed"]
+    assert resumed["changes"] == {"fingerprint.toy-car": ["1", "2"]}
+
+
+def test_a_damaged_curve_fails_the_run_until_it_is_trained_again(folder: RunFolder) -> None:
+    """It is named and set aside, a second attempt does not go on without the rows, and --fresh heals it."""
+    work(folder)
+    write_status(folder, dataclasses.replace(read_status(folder), state=State.INTERRUPTED))
+    folder.curve.write_bytes(folder.curve.read_bytes()[:-9])
+    message = refusal(folder)
+    assert "curve.parquet is damaged" in message
+    assert "curve.parquet.corrupt-1" in message
+    assert "holds 0 evaluations, 4 had been written" in refusal(folder)
+    assert work(folder, "--fresh") is WorkerExit.DONE
+    assert steps(folder) == [10, 20, 30, 40]
+
+
+def test_a_damaged_status_is_set_aside_and_the_run_goes_on(
+    folder: RunFolder, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Curve and checkpoint hold what counts; the damage is said."""
+    work(folder)
+    folder.status.write_text("{")
+    assert work(folder) is WorkerExit.DONE
+    assert "set aside as status.json.corrupt-1" in capsys.readouterr().out
+    assert read_status(folder).state is State.DONE
+
+
+def test_a_configuration_that_was_edited_is_refused(folder: RunFolder) -> None:
+    """Its identity is no longer the folder's."""
+    content = json.loads(folder.config.read_text())
+    folder.config.write_text(json.dumps(content | {"seed": 7}))
+    assert "it was edited" in refusal(folder)
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        ({"config_version": 99}, "configuration version 99"),
+        ({"steps": -1}, "is not a configuration"),
+        ({"unheard": 1}, "is not a configuration"),
+    ],
+)
+def test_a_configuration_of_another_kind_is_refused(folder: RunFolder, change: dict[str, int], told: str) -> None:
+    """Another version, impossible values and unknown keys are told apart from a trained run."""
+    folder.config.write_text(json.dumps(json.loads(folder.config.read_text()) | change))
+    assert told in refusal(folder)
+
+
+def test_a_prior_that_changed_after_planning_is_refused(tmp_path: Path) -> None:
+    """The file is checked before training; so is one that is gone."""
+    prior = tmp_path / "mine.py"
+    prior.write_text("def closer(obs):\n    return 0.0\n")
+    planned = (
+        config(0).model_copy(update={"reward": RewardConfig(learner="prior", prior=f"{prior}:closer")}).canonical()
+    )
+    folder = Layout(tmp_path).run(planned.identity)
+    record_config(folder, config_content(planned))
+    assert isinstance(load_config(folder), RunConfig)
+    prior.write_text("def closer(obs):\n    return 1.0\n")
+    assert "mine.py has changed since this run was planned" in refusal(folder)
+    prior.unlink()
+    assert "mine.py" in refusal(folder)
+
+
+def test_a_configuration_survives_its_file(folder: RunFolder) -> None:
+    """What the worker reads is what was planned."""
+    assert load_config(folder) == config(0).canonical()
+
+
+def test_a_retry_forgets_the_error_of_the_attempt_before(folder: RunFolder) -> None:
+    """A run that is done carries no error."""
+    write_status(folder, Status(state=State.INTERRUPTED, attempt=4))
+    assert work(folder) is WorkerExit.DONE
+    status = read_status(folder)
+    assert (status.attempt, status.error) == (5, None)
