@@ -165,7 +165,7 @@ def _attempt(
         facts = provenance.collect(stored, trainer.fingerprint(config), given.asked, status.attempt)
         for change in provenance.record(folder, facts):
             pipe.note(f"differs from the attempt before: {change}")
-        if not trainer.train(config, folder.path, monitor):
+        if stop.requested or not trainer.train(config, folder.path, monitor):
             monitor.close(State.INTERRUPTED)
             return WorkerExit.STOPPED
     monitor.close(State.DONE)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import sys
 from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Annotated
@@ -78,15 +79,14 @@ def run(
 
       rrmctl run toy-car --set agent.batch=256 --prior my_priors.py:closer
     """
-    from rrmctl.machine import usable_cores
     from rrmctl.store.layout import Layout
 
     console = _progress_console()
     request = Request(name, experiments, profile, seeds, tasks, methods, overrides, prior)
     plan, layout = request.plan(), Layout(results)
-    slots = workers or usable_cores()
+    slots = workers or _default_slots(job.config.threads for job in plan.jobs)
     expected = forecast(plan, layout)
-    _introduce(console, request, expected, slots)
+    _introduce(console, request, _from_nothing(expected) if force else expected, slots)
     chosen = [job for job in plan.jobs if force or _is_open(expected.states[job.id], retry_failed=retry_failed)]
     if chosen and expected.hours_left > _LARGE_H and not yes and _asks() and not typer.confirm("Start?", err=True):
         raise typer.Exit(Exit.INCOMPLETE)
@@ -110,7 +110,6 @@ def resume(
 
     The configurations recorded then are run, whatever the manifests say today.
     """
-    from rrmctl.machine import usable_cores
     from rrmctl.store.reader import find_sweeps, open_results, statuses
     from rrmctl.store.records import read_sweeps
 
@@ -124,10 +123,24 @@ def resume(
     chosen = [job for job in jobs.values() if _is_open(states[job.id], retry_failed=retry_failed)]
     for sweep in sweeps:
         count = sum(_is_open(states[job.id], retry_failed=retry_failed) for job in sweep.jobs)
-        console.print(f"{sweep.experiment} ({sweep.variant}): {count} of {len(sweep.jobs)} runs to go")
+        console.print(f"{sweep.experiment} ({sweep.variant}): {count} of {len(sweep.jobs)} runs to go", soft_wrap=True)
     assigned = [_assignment(job, states[job.id], _threads(layout, job), fresh=False) for job in chosen]
-    code = _run(console, layout, assigned, workers or usable_cores())
+    code = _run(console, layout, assigned, workers or _default_slots(job.threads for job in assigned))
     _finish(layout, code, _left_out(states, assigned), dict.fromkeys(sweep.experiment for sweep in sweeps))
+
+
+def _default_slots(threads: Iterable[int]) -> int:
+    """As many jobs at a time as the cores allow when each keeps its threads busy."""
+    from rrmctl.machine import usable_cores
+
+    return max(1, usable_cores() // max(threads, default=1))
+
+
+def _from_nothing(expected: Forecast) -> Forecast:
+    """The forecast of a plan of which nothing has been run."""
+    from rrmctl.store.records import Status
+
+    return dataclasses.replace(expected, states=dict.fromkeys(expected.states, Status()))
 
 
 def _introduce(console: Console, request: Request, expected: Forecast, slots: int) -> None:
@@ -135,11 +148,11 @@ def _introduce(console: Console, request: Request, expected: Forecast, slots: in
     done, failed = expected.count("done"), expected.count("failed")
     there = f", {done} done already" if done else ""
     there += f", {failed} failed" if failed else ""
-    console.print(f"{plan.experiment} ({plan.variant}): {len(plan.jobs)} runs{there}.", style="bold")
-    console.print(in_words(expected, slots))
+    console.print(f"{plan.experiment} ({plan.variant}): {len(plan.jobs)} runs{there}.", style="bold", soft_wrap=True)
+    console.print(in_words(expected, slots), soft_wrap=True)
     if expected.hours_left > _LARGE_H:
         for line in smaller(request, plan):
-            console.print(f"  smaller: {line}")
+            console.print(f"  smaller: {line}", soft_wrap=True)
 
 
 def _is_open(status: Status, *, retry_failed: bool) -> bool:
@@ -200,7 +213,7 @@ def _run(console: Console, layout: Layout, assigned: Sequence[Assignment], slots
     asked = ["rrmctl", *sys.argv[1:]]
     if not assigned:
         return Exit.DONE
-    if not console.is_terminal:
+    if not sys.stderr.isatty() or console.is_dumb_terminal:
         return Pool(
             layout=layout, assignments=assigned, slots=slots, watcher=Lines(console, layout, assigned), asked=asked
         ).run()
