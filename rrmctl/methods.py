@@ -77,12 +77,12 @@ def method(name: str, own: Mapping[str, MethodTable], folder: Path, where: str) 
 
 
 def residual(prior: str, folder: Path) -> Method:
-    """The residual method on one prior, as `--prior` adds it; a file's is called rrm-STEM.
+    """The residual method on one prior, as `--prior` adds it; a file's is called rrm-FUNCTION.
 
     Raises:
         UserError: unknown prior, or no such file.
     """
-    name = Path(prior.rpartition(":")[0]).stem if is_file_reference(prior) else prior
+    name = prior.rpartition(":")[2] if is_file_reference(prior) else prior
     return Method(f"rrm-{name}", BASE_LEARNER, _named(prior, "prior", PRIORS, folder, "--prior"))
 
 

@@ -8,7 +8,6 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-from pathlib import Path
 from typing import Any, Literal, Self
 
 from pydantic import model_validator
@@ -167,4 +166,4 @@ class RunConfig(Section):
 
 
 def _short(name: str) -> str:
-    return Path(name.rpartition(":")[0]).stem if is_file_reference(name) else name
+    return name.rpartition(":")[2] if is_file_reference(name) else name

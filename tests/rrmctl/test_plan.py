@@ -242,13 +242,13 @@ def test_users_files(tmp_path: Path) -> None:
 
 def test_prior_option(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """--prior adds the residual method on a named prior or a user's file, whatever methods are picked."""
-    (tmp_path / "closer.py").write_text("def f(): ...")
+    (tmp_path / "mine.py").write_text("def closer(): ...")
     monkeypatch.chdir(tmp_path)
-    plan = make_plan(made(), methods=["oracle"], seeds="1", priors=["zero", "closer.py:f"])
+    plan = make_plan(made(), methods=["oracle"], seeds="1", priors=["zero", "mine.py:closer"])
     assert [job.method for job in plan.jobs] == ["oracle", "rrm-zero", "rrm-closer"]
     assert len(make_plan(made(), seeds="1", priors=["zero", "zero"]).jobs) == 3
-    (tmp_path / "zero.py").write_text("def f(): ...")
-    assert "rrm-zero already stands for" in str(refused(made(), priors=["zero", "zero.py:f"]))
+    (tmp_path / "mine.py").write_text("def zero(): ...")
+    assert "rrm-zero already stands for" in str(refused(made(), priors=["zero", "mine.py:zero"]))
     assert 'did you mean "zero"' in str(refused(made(), priors=["zer"]))
     assert "no file" in str(refused(made(), priors=["absent.py:f"]))
 

@@ -62,7 +62,7 @@ def test_a_users_file_counts_by_its_content(tmp_path):
         (tmp_path / folder).mkdir()
         (tmp_path / folder / "prior.py").write_text(content)
         config = run(reward=RewardConfig(prior=f"{tmp_path}/{folder}/prior.py:mine"))
-        assert config.method == "rrm-prior"
+        assert config.method == "rrm-mine"
         identities.append(config.identity)
     assert identities[0] == identities[1] != identities[2]
 
