@@ -1,0 +1,44 @@
+"""The methods learn: a random policy never reaches the toy car's goal, a trained one mostly does."""
+
+import pytest
+
+from rrm.config import AgentConfig, EvaluationConfig, ExplorationConfig, FeedbackConfig, RewardConfig
+from rrm.training.config import RunConfig
+from rrm.training.jobs import train
+
+RATE = {"actor_lr": 1e-3, "critic_lr": 1e-3, "alpha_lr": 1e-3}
+
+
+def run(reward, steps):
+    return RunConfig(
+        profile="test", task="toy-car", seed=0, steps=steps, reward=reward,
+        agent=AgentConfig(hidden=64, layers=2, batch=64, **RATE),
+        feedback=FeedbackConfig(every=500, batch=20, budget=400, segment=25),
+        exploration=ExplorationConfig(seed_steps=500), evaluation=EvaluationConfig(every=2000, episodes=20),
+    )  # fmt: skip
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("reward", "steps"),
+    [
+        (RewardConfig(learner="true"), 8000),
+        (RewardConfig(prior="proxy", hidden=64, layers=2, lr=1e-3, minibatch=64, epochs=20), 10_000),
+    ],
+    ids=["oracle", "rrm-proxy"],
+)
+def test_it_reaches_the_goal(recorder, tmp_path, reward, steps):
+    """With the true reward, or a prior and 400 answers, most episodes end in success."""
+    monitor = recorder()
+    train(run(reward, steps), tmp_path, monitor)
+    assert monitor.rows[2000].success < 0.5
+    assert max(row.success for row in monitor.rows.values()) >= 0.7
+
+
+@pytest.mark.slow
+def test_preferences_alone_teach_the_true_order(recorder, tmp_path):
+    """PEBBLE's reward agrees with the true one on most fresh pairs, having started at chance."""
+    monitor = recorder()
+    train(run(RewardConfig(hidden=64, layers=2, lr=1e-3, minibatch=64, epochs=20), 6000), tmp_path, monitor)
+    assert monitor.rows[6000].true_accuracy > 0.75
+    assert monitor.rows[6000].labels == 220
