@@ -6,7 +6,6 @@ import torch
 from torch import Tensor
 
 from rrm.config import RewardConfig
-from rrm.interfaces import RewardFunction
 from rrm.nets.mlp import StackedMLP
 from rrm.types import Segments, State
 
@@ -30,14 +29,18 @@ class BoundedEnsemble:
 class EnsembleReward:
     """r(s, a) by every member; the prior is not looked at."""
 
+    extra_inputs = 0  #: beside state and action
+
     def __init__(self, config: RewardConfig, obs_dim: int, act_dim: int, generator: torch.Generator) -> None:
-        self._ensemble = BoundedEnsemble(config, obs_dim + act_dim, generator)
+        self._ensemble = BoundedEnsemble(config, obs_dim + act_dim + self.extra_inputs, generator)
 
     def members(self, segments: Segments) -> Tensor:
         return self._ensemble(torch.cat([segments.obs, segments.act], dim=-1))
 
+    @torch.no_grad()
     def predict(self, obs: Tensor, act: Tensor, prior: Tensor) -> Tensor:
-        return mean_reward(self, obs, act, prior)
+        steps = Segments(obs.unsqueeze(0), act.unsqueeze(0), prior.unsqueeze(0))
+        return self.members(steps).mean(dim=0).squeeze(0)
 
     def parameters(self) -> list[Tensor]:
         return self._ensemble.net.parameters()
@@ -47,10 +50,3 @@ class EnsembleReward:
 
     def load_state_dict(self, state: State) -> None:
         self._ensemble.net.flat.copy_(state["weights"])
-
-
-@torch.no_grad()
-def mean_reward(reward: RewardFunction, obs: Tensor, act: Tensor, prior: Tensor) -> Tensor:
-    """Mean over the members of the reward of single steps, [B], for obs [B, O], act [B, A] and prior [B]."""
-    steps = Segments(obs.unsqueeze(0), act.unsqueeze(0), prior.unsqueeze(0))
-    return reward.members(steps).mean(dim=0).squeeze(0)
