@@ -17,8 +17,8 @@ from collections.abc import Callable
 import torch
 
 from rrm.agents.sac import Sac
-from rrm.seeding import Streams
 from rrm.config import AgentConfig
+from rrm.seeding import Streams
 from rrm.types import Batch
 
 OBS, ACT = 39, 4  # Meta-World

@@ -22,13 +22,15 @@ from rrm.nets.adam import FlatAdam
 from rrm.nets.mlp import StackedMLP
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from rrm.config import AgentConfig
     from rrm.interfaces import Floats
     from rrm.seeding import Streams
     from rrm.types import Batch, State
 
 LOG_STD_MIN, LOG_STD_MAX = -5.0, 2.0
-_HALF_RANGE = 0.5 * (LOG_STD_MAX - LOG_STD_MIN)
+_MIDDLE, _HALF_RANGE = 0.5 * (LOG_STD_MAX + LOG_STD_MIN), 0.5 * (LOG_STD_MAX - LOG_STD_MIN)
 _FIGURES = ("critic_loss", "actor_loss", "entropy", "alpha")
 
 
@@ -38,11 +40,15 @@ class _Sample:
     def __init__(self, head: Tensor, noise: Tensor) -> None:
         mean, raw = head.chunk(2, dim=-1)
         self.squash = torch.tanh(raw)
-        log_std = LOG_STD_MIN + _HALF_RANGE * (self.squash + 1)
-        self.spread = log_std.exp() * noise
-        pre_tanh = mean + self.spread
-        self.act = torch.tanh(pre_tanh)
-        self.log_prob = squashed_gaussian_log_prob(noise, log_std, pre_tanh)  #: float32 [B]
+        self.noise = noise
+        self.log_std = self.squash * _HALF_RANGE + _MIDDLE
+        self.spread = self.log_std.exp() * noise
+        self.pre_tanh = mean + self.spread
+        self.act = torch.tanh(self.pre_tanh)
+
+    def log_prob(self) -> Tensor:
+        """Log density of the actions, float32 [B]."""
+        return squashed_gaussian_log_prob(self.noise, self.log_std, self.pre_tanh)
 
     def backward(self, grad_act: Tensor, grad_log_prob: Tensor) -> Tensor:
         """Gradient in the actor's output, [B, 2 A], of a loss with these gradients in the action and its log density.
@@ -59,10 +65,13 @@ class _Workspace:
     """Everything that updates with batches of one size write into."""
 
     def __init__(self, actor: StackedMLP, critic: StackedMLP, batch: int) -> None:
+        device = actor.flat.device
         self.actor = actor.tape(batch)
         self.critic = critic.tape(batch)
-        self.noise = torch.empty(batch, actor.widths[-1] // 2, device=actor.flat.device)
-        self._obs_act = torch.empty(batch, critic.widths[0], device=critic.flat.device)
+        self.noise = torch.empty(actor.widths[-1] // 2, batch, device=device).t()  # stored like the actor's output
+        # Matrix libraries may round differently where memory is aligned differently: inputs are copied to one place.
+        self.obs = torch.empty(batch, actor.widths[0], device=device)
+        self._obs_act = torch.empty(batch, critic.widths[0], device=device)
 
     def join(self, obs: Tensor, act: Tensor) -> Tensor:
         """The critic's input [B, O + A], valid until the next call."""
@@ -107,7 +116,8 @@ class Sac:
         Raises:
             NumericalError: the action is not finite, because the observation is not or because training diverged.
         """
-        head = self.actor.forward(torch.tensor(obs, device=self.actor.flat.device).unsqueeze(0), self._acting)[0]
+        row = torch.tensor(obs, dtype=torch.float32, device=self.actor.flat.device).unsqueeze(0)
+        head = self.actor.forward(row, self._acting)[0]
         if explore:
             noise = torch.randn(1, self.act_dim, generator=self._explore, device=head.device)
             act = _Sample(head, noise).act
@@ -123,10 +133,9 @@ class Sac:
 
     @torch.no_grad()
     def update(self, batch: Batch) -> None:
-        """One step of critic, actor and temperature, and of the target if the number of finished updates is even."""
-        rows = len(batch.reward)
-        if self._space.noise.shape[0] != rows:
-            self._space = _Workspace(self.actor, self.critic, rows)
+        """One step of critic, actor and temperature; the target follows every second time, the first included."""
+        if len(self._space.obs) != len(batch.reward):
+            self._space = _Workspace(self.actor, self.critic, len(batch.reward))
         alpha = self.log_alpha.exp()
         critic_loss = self._update_critic(batch, alpha)
         actor_loss, entropy = self._update_actor(batch, alpha)
@@ -137,7 +146,7 @@ class Sac:
         self.updates += 1
 
     def _sample(self, obs: Tensor) -> _Sample:
-        head = self.actor.forward(obs, self._space.actor)[0]
+        head = self.actor.forward(self._space.obs.copy_(obs), self._space.actor)[0]
         return _Sample(head, self._space.noise.normal_(generator=self._noise))
 
     def _update_critic(self, batch: Batch, alpha: Tensor) -> Tensor:
@@ -145,7 +154,7 @@ class Sac:
         space = self._space
         following = self._sample(batch.next_obs)
         q_next = self.target.forward(space.join(batch.next_obs, following.act), space.critic).squeeze(-1)
-        value = torch.minimum(q_next[0], q_next[1]) - alpha * following.log_prob
+        value = torch.minimum(q_next[0], q_next[1]) - alpha * following.log_prob()
         q_target = batch.reward + self.config.discount * batch.continues * value
         q = self.critic.forward(space.join(batch.obs, batch.act), space.critic).squeeze(-1)
         error = q - q_target
@@ -164,7 +173,7 @@ class Sac:
         grad_head = sample.backward(grad_act.sum(dim=0), -share * alpha)
         self.actor.backward_params(grad_head.unsqueeze(0), space.actor)
         self._actor_adam.step()
-        entropy = -sample.log_prob.mean()
+        entropy = -sample.log_prob().mean()
         return -alpha.squeeze() * entropy - torch.minimum(q[0], q[1]).mean(), entropy
 
     def _update_alpha(self, entropy: Tensor, alpha: Tensor) -> None:
@@ -177,6 +186,15 @@ class Sac:
         self.critic.initialise(self._init)
         self.target.flat.copy_(self.critic.flat)
         self._critic_adam.reset()
+
+    def q_values(self, obs: Tensor, act: Tensor, params: Sequence[Tensor] | None = None) -> Tensor:
+        """What both critics say of obs [B, O] and act [B, A], float32 [2, B], differentiable.
+
+        Args:
+            obs, act: observations and actions.
+            params: in place of `critic.parameters()`, for learners that look one step of the critic ahead.
+        """
+        return self.critic(torch.cat((obs, act), dim=-1), params).squeeze(-1)
 
     def metrics(self) -> dict[str, float]:
         """`critic_loss`, `actor_loss`, `entropy` (nats) and `alpha` of the last update; NaN before the first."""
