@@ -79,7 +79,7 @@ class Child:
                 break
             self.heard = time.monotonic()
             *lines, self._text = (self._text + data).split(b"\n")
-            messages += map(json.loads, lines)
+            messages += map(_message, lines)
         return messages
 
     def close(self) -> None:
@@ -137,9 +137,20 @@ class Child:
         return RunError(kind=ErrorKind.KILLED, type=_signal_name(-code), message=told)
 
 
+def _message(line: bytes) -> dict[str, Any]:
+    """A line from the pipe; one that is not a message is passed on for people to read rather than end the sweep."""
+    try:
+        message = json.loads(line)
+    except ValueError:
+        message = None
+    return message if isinstance(message, dict) and "event" in message else {"event": "note", "text": repr(line)}
+
+
 def worker_environment(threads: int, base: Mapping[str, str] = os.environ) -> dict[str, str]:
     """The environment of a worker: threads limited, no renderer unless the user chose one."""
-    environment = dict(base) | dict.fromkeys(_THREAD_VARIABLES, str(threads)) | {"PYTHONUNBUFFERED": "1"}
+    environment = dict(base) | dict.fromkeys(_THREAD_VARIABLES, str(threads))
+    # A log can take any message, whatever the locale.
+    environment |= {"PYTHONUNBUFFERED": "1", "PYTHONIOENCODING": "utf-8:backslashreplace"}
     environment.setdefault("MUJOCO_GL", "disabled")
     # mujoco leaves its choice of renderer there, and a child with another choice refuses to start.
     environment.pop("PYOPENGL_PLATFORM", None)

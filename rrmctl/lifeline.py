@@ -57,23 +57,32 @@ class Pipe:
     def note(self, text: str) -> None:
         """Something a person should read; it is printed into the log as well."""
         say(f"--- {text}")
-        self.send(event="note", text=text[: _LINE // 2])
+        self.send(event="note", text=text)
 
     def error(self, error: RunError) -> None:
         """Why the worker leaves."""
-        self.send(event="error", kind=error.kind, type=error.type[:100], message=error.message[: _LINE // 2])
+        self.send(event="error", kind=error.kind, type=error.type, message=error.message)
 
     def send(self, **message: Any) -> None:
         """Any message. It is dropped when the pipe is full: its reader sleeps, and the files tell the same."""
         if self._descriptor is None or self.broken:
             return
-        line = json.dumps(message) + "\n"
         try:
-            os.write(self._descriptor, line.encode())
+            os.write(self._descriptor, _line(message))
         except BlockingIOError:
             return
         except BrokenPipeError:
             self.broken = True
+
+
+def _line(message: dict[str, Any]) -> bytes:
+    """The message as one line, its longest text cut until the line is sure to arrive whole."""
+    line = json.dumps(message).encode() + b"\n"
+    while len(line) > _LINE:
+        name = max((name for name in message if isinstance(message[name], str)), key=lambda name: len(message[name]))
+        message = message | {name: message[name][: len(message[name]) * 3 // 4]}
+        line = json.dumps(message).encode() + b"\n"
+    return line
 
 
 class StopRequest:

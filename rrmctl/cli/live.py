@@ -69,9 +69,10 @@ class Lines:
 
     def stopping(self, workers: int, wait_s: float) -> None:
         self.console.print(
-            f"stopping: {workers} workers write a checkpoint and leave (at most {wait_s:.0f} s); "
-            "Ctrl-C again ends them at once",
+            f"stopping: {workers} running {'jobs write' if workers != 1 else 'job writes'} a checkpoint, "
+            f"in at most {wait_s:.0f} s; Ctrl-C again ends everything at once",
             style="yellow",
+            soft_wrap=True,
         )
 
     def tick(self) -> None:

@@ -1,0 +1,251 @@
+"""`run`, `resume`, `status` and `show`, from the command line to what the store holds."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import os
+import random
+import resource
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner, Result
+
+from rrmctl.cli.app import app
+from rrmctl.cli.request import Request
+from rrmctl.store import load, planned
+from rrmctl.store.atomic import try_lock
+from rrmctl.store.layout import Layout
+from rrmctl.store.reader import run_status
+from rrmctl.store.records import ErrorKind, RunError, State, Status, read_sweeps, write_status
+from rrmctl.store.schema import TIMINGS
+from rrmctl.store.writer import CurveWriter
+from tests.rrmctl.standin import prepare, row
+
+EXPERIMENTS = Path(__file__).parents[3] / "experiments"
+PLAN = ["toy-car", "--experiments", str(EXPERIMENTS), "--profile", "smoke"]
+PROGRAM = [sys.executable, "-c", "from rrmctl.cli.app import main; main()"]
+ERROR = RunError(kind=ErrorKind.REFUSED, type="PriorError", message="the prior returned NaN")
+
+
+def call(*arguments: str | Path) -> Result:
+    return CliRunner().invoke(app, list(map(str, arguments)))
+
+
+def settle(root: Path, state: State, seeds: str = "2", error: RunError | None = None) -> list[str]:
+    """Pretend that toy-car's oracle has run for these seeds; the ids."""
+    jobs = Request("toy-car", EXPERIMENTS, profile="smoke", seeds=seeds, methods=["oracle"]).plan().jobs
+    for job in jobs:
+        steps = job.config.steps
+        write_status(
+            Layout(root).run(job.id), Status(state=state, attempt=1, step=steps, steps=steps, wall_s=6.0, error=error)
+        )
+    return [job.id for job in jobs]
+
+
+def test_a_sweep_that_is_done_is_not_run_again(tmp_path: Path) -> None:
+    """Exit code 0, no process, and the next command by name."""
+    ids = settle(tmp_path, State.DONE)
+    result = call("run", *PLAN, "--methods", "oracle", "--seeds", "2", "--results", tmp_path)
+    assert result.exit_code == 0
+    assert "2 runs, 2 done already" in result.stderr
+    assert f"rrmctl report iqm toy-car --results {tmp_path}" in result.stdout
+    assert sorted(path.name for path in Layout(tmp_path).run(ids[0]).path.iterdir()) == ["config.json", "status.json"]
+
+
+def test_asking_for_more_seeds_adds_to_the_record(tmp_path: Path) -> None:
+    """The sweep's record is the union; each run's configuration names its seed."""
+    for seeds in ("2", "1,", "5"):
+        settle(tmp_path, State.DONE, seeds)
+        call("run", *PLAN, "--methods", "oracle", "--seeds", seeds, "--results", tmp_path)
+    (sweep,) = read_sweeps(Layout(tmp_path))
+    assert (sweep.experiment, sweep.variant, sweep.profile) == ("toy-car", "smoke", "smoke")
+    assert [job.seed for job in sweep.jobs] == [0, 1, 2, 3, 4]
+    config = json.loads(Layout(tmp_path).run(sweep.jobs[3].id).config.read_text())
+    assert (config["id"], config["seed"], config["method"]) == (sweep.jobs[3].id, 3, "oracle")
+
+
+def test_failed_runs_stay_failed_until_asked_for(tmp_path: Path) -> None:
+    """Neither run nor resume starts them; both leave with 1 and say how to try again."""
+    settle(tmp_path, State.FAILED, error=ERROR)
+    result = call("run", *PLAN, "--methods", "oracle", "--seeds", "2", "--results", tmp_path)
+    assert result.exit_code == 1
+    assert "--retry-failed" in result.stdout
+    result = call("resume", "--results", tmp_path)
+    assert result.exit_code == 1
+    assert "toy-car (smoke): 0 of 2 runs to go" in result.stderr
+
+
+def test_a_results_folder_that_cannot_be_written_is_named(tmp_path: Path) -> None:
+    """One message with path and way out, exit code 2, no traceback."""
+    (tmp_path / "taken").touch()
+    result = call("run", *PLAN, "--seeds", "1", "--results", tmp_path / "taken" / "results")
+    assert result.exit_code == 2
+    assert f"cannot write {tmp_path}/taken/results" in result.stderr
+    assert "--results" in result.stderr
+    assert "Traceback" not in result.stderr
+
+
+@pytest.mark.parametrize("command", ["status", "resume", "show"])
+def test_a_results_folder_that_is_not_there(tmp_path: Path, command: str) -> None:
+    """Commands that need one say so."""
+    result = call(command, *(["abc"] if command == "show" else []), "--results", tmp_path / "nowhere")
+    assert result.exit_code == 2
+    assert "there is no results folder" in result.stderr
+
+
+def test_status_of_everything(tmp_path: Path) -> None:
+    """A line per sweep with its counts; a run whose process is gone is interrupted, one whose lock is held runs."""
+    layout, jobs = prepare(tmp_path, range(5))
+    for job, state in zip(jobs, (State.DONE, State.RUNNING, State.RUNNING, State.FAILED), strict=False):
+        write_status(layout.run(job.id), Status(state=state, attempt=1, steps_per_s=10.0, error=ERROR))
+    lock = try_lock(layout.run(jobs[1].id).lock)
+    assert lock is not None
+    result = call("status", "--results", tmp_path)
+    told = json.loads(call("status", "stand-in", "--json", "--results", tmp_path).stdout)
+    os.close(lock)
+    assert result.exit_code == 0
+    assert result.stdout.splitlines()[0].split() == [
+        "experiment", "done", "running", "interrupted", "queued", "failed", "of", "left"
+    ]  # fmt: skip
+    assert result.stdout.splitlines()[1].split()[:8] == ["stand-in", "(smoke)", "1", "1", "1", "1", "1", "5"]
+    assert "rrmctl status --failed" in result.stdout
+    assert (told["runs"], told["done"], told["running"], told["interrupted"]) == (5, 1, 1, 1)
+    assert told["core_seconds_left"] == 3 * 4.0
+    assert told["errors"] == {"PriorError: the prior returned NaN": [jobs[3].id]}
+
+
+def test_status_of_failures_groups_them(tmp_path: Path) -> None:
+    """One paragraph for each thing that went wrong, with the ids that `show` takes."""
+    layout, jobs = prepare(tmp_path, range(3))
+    assert "No run failed." in call("status", "--failed", "--results", tmp_path).stdout
+    for job in jobs[:2]:
+        write_status(layout.run(job.id), Status(state=State.FAILED, attempt=3, error=ERROR))
+    layout.run(jobs[2].id).status.write_text("{")
+    out = call("status", "--failed", "--results", tmp_path).stdout
+    assert "2 runs: PriorError: the prior returned NaN" in out
+    assert all(job.id in out for job in jobs)
+    assert "status.json cannot be read" in out
+
+
+def test_watching_ends_when_nothing_is_left(tmp_path: Path) -> None:
+    """Without a terminal it is a line whenever something changed."""
+    layout, jobs = prepare(tmp_path, range(2))
+    for job in jobs:
+        write_status(layout.run(job.id), Status(state=State.DONE))
+    assert call("status", "--watch", "--results", tmp_path).stdout == "2 done of 2 runs\n"
+
+
+def test_status_of_an_experiment_that_never_ran(tmp_path: Path) -> None:
+    """Exit code 2, and what is there instead."""
+    prepare(tmp_path, range(1))
+    result = call("status", "toy-carr", "--results", tmp_path)
+    assert result.exit_code == 2
+    assert "it holds: stand-in" in result.stderr
+
+
+def test_show(tmp_path: Path) -> None:
+    """By the first digits of its id: state, configuration, last rows, log, and the command that repeats it."""
+    layout, jobs = prepare(tmp_path, range(2))
+    folder = layout.run(jobs[1].id)
+    config = json.loads(folder.config.read_text())
+    curve = CurveWriter(folder, config | {"run": folder.id})
+    for step in range(10, 80, 10):
+        curve.add(dataclasses.asdict(row(step, success=0.8)))
+    folder.log.write_text("".join(f"line {n}\n" for n in range(50)))
+    write_status(folder, Status(state=State.FAILED, attempt=2, step=70, steps=400, error=ERROR))
+    out = call("show", folder.id[:8], "--lines", "3", "--results", tmp_path).stdout
+    assert "failed, attempt 2, step 70 of 400" in out
+    assert "PriorError: the prior returned NaN" in out
+    assert '"task": "toy-car"' in out
+    assert "step        70  success 80%" in out
+    assert "step        20" not in out
+    assert "line 47\nline 48\nline 49\n" in out
+    assert "line 46" not in out
+    assert (
+        "rrmctl run stand-in --profile smoke --tasks toy-car --methods oracle --seeds 1, "
+        f"--results {tmp_path} --force" in out
+    )
+
+
+def test_show_what_is_not_there(tmp_path: Path) -> None:
+    """An id that fits nothing is refused."""
+    prepare(tmp_path, range(1))
+    result = call("show", "zz", "--results", tmp_path)
+    assert result.exit_code == 2
+    assert "starts with 'zz'" in result.stderr
+
+
+def numbers(root: Path) -> str:
+    """Every row as text; the time it took and whether its run is complete are left out."""
+    frame = load(root, "toy-car").drop(columns=[*TIMINGS, "state"])
+    return str(frame.sort_values(["method", "seed", "step"]).to_csv(index=False))
+
+
+def start(*arguments: str | Path) -> subprocess.Popen[str]:
+    """The program in a session of its own, its workers quick to restart."""
+    return subprocess.Popen(
+        [*PROGRAM, *map(str, arguments)],
+        start_new_session=True,
+        text=True,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+    )
+
+
+@pytest.mark.slow
+def test_killed_at_random_moments_and_resumed_ends_in_the_same_curves(tmp_path: Path) -> None:
+    """SIGKILL of workers and of the parent, several times: the same rows as undisturbed, bit for bit."""
+    sweep = [*PLAN, "--seeds", "2", "--methods", "oracle,rrm-sparse", "--workers", "2"]
+    quiet, loud = tmp_path / "quiet", tmp_path / "loud"
+    assert call("run", *sweep, "--results", quiet).exit_code == 0
+    rng = random.Random(0)
+    for _ in range(4):
+        program = start("run", *sweep, "--results", loud)
+        time.sleep(rng.uniform(3.0, 9.0))
+        now = [run_status(Layout(loud).run(run)) for run in planned(loud, "toy-car")["run"]]
+        workers = [status.pid for status in now if status.state is State.RUNNING and status.pid is not None]
+        for pid in rng.sample(workers, len(workers) // 2):
+            os.kill(pid, signal.SIGKILL)
+        os.killpg(program.pid, signal.SIGKILL)
+        program.communicate()
+    result = call("resume", "--results", loud)
+    assert result.exit_code == 0, result.output
+    assert set(planned(loud, "toy-car")["state"]) == {"done"}
+    assert numbers(loud) == numbers(quiet)
+
+
+@pytest.mark.slow
+def test_ctrl_c_leaves_with_75_and_resume_ends_it(tmp_path: Path) -> None:
+    """The message says how to go on, and going on does."""
+    program = start("run", *PLAN, "--seeds", "2", "--methods", "oracle", "--results", tmp_path)
+    while not list(tmp_path.glob("runs/*/status.json")):
+        time.sleep(0.1)
+        assert program.poll() is None
+    program.send_signal(signal.SIGINT)
+    out, _ = program.communicate(timeout=120)
+    assert program.returncode == 75
+    assert f"rrmctl resume toy-car --results {tmp_path} goes on" in out
+    assert call("resume", "toy-car", "--results", tmp_path).exit_code == 0
+    assert set(planned(tmp_path, "toy-car")["state"]) == {"done"}
+
+
+@pytest.mark.slow
+def test_no_room_for_a_checkpoint_is_said_and_overcome(tmp_path: Path) -> None:
+    """A real limit on the size of files: the sweep stops incomplete, says what to do, and goes on when it is lifted."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, hard))
+    try:
+        result = call("run", *PLAN, "--seeds", "1", "--methods", "oracle", "--results", tmp_path)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    assert result.exit_code == 75
+    assert "File too large" in result.stderr
+    assert "rrmctl resume" in result.stderr
+    assert planned(tmp_path, "toy-car")["state"].tolist() == ["interrupted"]
+    assert call("resume", "--results", tmp_path).exit_code == 0
