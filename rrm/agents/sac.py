@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from rrm.types import Batch, State
 
 LOG_STD_MIN, LOG_STD_MAX = -5.0, 2.0
-_MIDDLE, _HALF_RANGE = 0.5 * (LOG_STD_MAX + LOG_STD_MIN), 0.5 * (LOG_STD_MAX - LOG_STD_MIN)
+_HALF_RANGE = 0.5 * (LOG_STD_MAX - LOG_STD_MIN)
 _FIGURES = ("critic_loss", "actor_loss", "entropy", "alpha")
 
 
@@ -41,7 +41,7 @@ class _Sample:
         mean, raw = head.chunk(2, dim=-1)
         self.squash = torch.tanh(raw)
         self.noise = noise
-        self.log_std = self.squash * _HALF_RANGE + _MIDDLE
+        self.log_std = LOG_STD_MIN + _HALF_RANGE * (self.squash + 1)
         self.spread = self.log_std.exp() * noise
         self.pre_tanh = mean + self.spread
         self.act = torch.tanh(self.pre_tanh)
@@ -68,7 +68,7 @@ class _Workspace:
         device = actor.flat.device
         self.actor = actor.tape(batch)
         self.critic = critic.tape(batch)
-        self.noise = torch.empty(actor.widths[-1] // 2, batch, device=device).t()  # stored like the actor's output
+        self.noise = torch.empty(batch, actor.widths[-1] // 2, device=device)
         # Matrix libraries may round differently where memory is aligned differently: inputs are copied to one place.
         self.obs = torch.empty(batch, actor.widths[0], device=device)
         self._obs_act = torch.empty(batch, critic.widths[0], device=device)
