@@ -103,7 +103,7 @@ class Bars(Lines):
         super().__init__(console, layout, assignments)
         self.progress = _progress(console)
         self._bars: dict[str, TaskID] = {}
-        self._all = self.progress.add_task("all", total=self.total, rate="", score="", left="")
+        self._all = self.progress.add_task("", total=self.total, rate="", score="", left="")
         self._began = time.monotonic()
         self._steps_done = 0  # of finished jobs
         self._rates: dict[str, float] = {}
@@ -138,7 +138,8 @@ class Bars(Lines):
             self._steps_done += self._jobs[job].steps
 
     def tick(self) -> None:
-        self.progress.update(self._all, completed=self.over, left=self._left())
+        told = f"{self.over} of {self.total} runs"
+        self.progress.update(self._all, description=told, completed=self.over, left=self._left())
         self.progress.refresh()
 
     def _left(self) -> str:

@@ -64,13 +64,14 @@ class Group:
             total += (job.steps - status.step) / rate
         return total
 
-    def left_in_words(self) -> str:
-        """What is left, beginning with a comma: time while something runs, else core time; empty where unknown."""
+    @property
+    def left(self) -> str:
+        """Time left, in words: that of the workers while some run, else that of one core; empty where unknown."""
         if not self.open or self.seconds_left is None:
             return ""
         running = self.counts["running"]
         hours = self.seconds_left / 3600
-        return f", about {duration(hours / running)} left" if running else f", {duration(hours)} of one core left"
+        return duration(hours / running) if running else f"{duration(hours)} of one core"
 
     def as_json(self) -> dict[str, Any]:
         """For programs."""

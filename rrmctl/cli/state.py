@@ -112,23 +112,26 @@ class _View:
     def line(self) -> str:
         """The totals in words."""
         counts = ", ".join(f"{self.total.counts[state]} {state}" for state in STATES if self.total.counts[state])
-        return f"{counts or 'nothing'} of {len(self.total.jobs)} runs{self.total.left_in_words()}"
+        left = f", about {self.total.left} left" if self.total.left else ""
+        return f"{counts} of {len(self.total.jobs)} runs{left}"
 
     def table(self) -> RenderableType:
         """For people."""
         from rich.console import Group as Stack
         from rich.table import Table
 
+        if not self._sweeps:
+            return f"{self._layout.root} holds no sweep yet; rrmctl run NAME begins one."
         if self._failed:
             return self._failures()
         table = Table(box=None, pad_edge=False)
         shown = [state for state in STATES if self.total.counts[state] or state == "done"]
-        table.add_column("experiment" if not self.groups else self.groups[0].heading)
+        table.add_column(self.groups[0].heading)
         for column in (*shown, "of", "left"):
             table.add_column(column, justify="right", style=_COLOURS.get(column))
         for group in self.groups:
             counts = (str(group.counts[state] or "-") for state in shown)
-            table.add_row(group.name, *counts, str(len(group.jobs)), group.left_in_words().lstrip(", "))
+            table.add_row(group.name, *counts, str(len(group.jobs)), group.left)
         return Stack(table, "", self.line(), *self._hints())
 
     def _hints(self) -> list[str]:

@@ -85,14 +85,14 @@ def test_bars(tmp_path: Path) -> None:
     view.row("a", 500, None, 12.34)
     view.tick()
     shown = {task.description: task for task in view.progress.tasks}
-    assert list(shown) == ["all", "t pebble seed 0", "t pebble seed 1"]
+    assert list(shown) == ["0 of 2 runs", "t pebble seed 0", "t pebble seed 1"]
     bar = shown["t pebble seed 0"]
     assert (bar.completed, bar.total) == (500, 1000)
     assert bar.fields == {"rate": "10 steps/s", "score": "return 12.3", "left": "50 s"}
-    assert shown["all"].fields["left"] == "2 min"
+    assert shown["0 of 2 runs"].fields["left"] == "2 min"
     view.ended("a", Outcome(Ending.DONE), Phase.DONE)
     view.tick()
-    assert [task.description for task in view.progress.tasks] == ["all", "t pebble seed 1"]
+    assert [task.description for task in view.progress.tasks] == ["1 of 2 runs", "t pebble seed 1"]
     assert view.progress.tasks[0].completed == 1
 
 

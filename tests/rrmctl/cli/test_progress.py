@@ -34,21 +34,21 @@ def test_time_left_is_steps_left_at_the_speed_of_their_kind() -> None:
     group = Group("g", [job("a"), job("b")], {"a": RUNNING, "b": Status()})
     assert group.seconds_left == 28.0
     assert group.open == 2
-    assert group.left_in_words() == ", about 28 s left"
+    assert group.left == "28 s"
 
 
 @pytest.mark.parametrize(
     ("states", "told"),
     [
         ({"a": DONE, "b": failed("x")}, ""),
-        ({"a": DONE, "b": Status()}, ", 10 s of one core left"),
+        ({"a": DONE, "b": Status()}, "10 s of one core"),
         ({"a": Status(), "b": Status()}, ""),
-        ({"a": RUNNING, "b": RUNNING}, ", about 8 s left"),
+        ({"a": RUNNING, "b": RUNNING}, "8 s"),
     ],
 )
 def test_what_is_left_in_words(states: dict[str, Status], told: str) -> None:
     """Nothing once all is over or nothing is known; core time while nothing runs; shared time while workers do."""
-    assert Group("g", [job("a"), job("b")], states).left_in_words() == told
+    assert Group("g", [job("a"), job("b")], states).left == told
 
 
 def test_groups() -> None:

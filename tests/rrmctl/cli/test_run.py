@@ -120,6 +120,13 @@ def test_status_of_everything(tmp_path: Path) -> None:
     assert told["errors"] == {"PriorError: the prior returned NaN": [jobs[3].id]}
 
 
+def test_status_of_an_empty_folder(tmp_path: Path) -> None:
+    """Nothing is no mistake."""
+    result = call("status", "--results", tmp_path)
+    assert result.exit_code == 0
+    assert "holds no sweep yet" in result.stdout
+
+
 def test_status_of_failures_groups_them(tmp_path: Path) -> None:
     """One paragraph for each thing that went wrong, with the ids that `show` takes."""
     layout, jobs = prepare(tmp_path, range(3))
