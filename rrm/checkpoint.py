@@ -110,11 +110,12 @@ class AppendLog:
 
         Raises:
             CheckpointError: the file is missing, too short, or its checksum differs.
+            OSError: it cannot be read now, which says nothing about what it holds.
         """
         try:
             with self._path.open("rb") as file:
                 data = file.read(size)
-        except OSError as error:
+        except FileNotFoundError as error:
             raise CheckpointError(f"{self._path}: {error.strerror}") from error
         if len(data) != size or zlib.crc32(data) != crc:
             raise CheckpointError(f"{self._path}: damaged (its first {size} bytes do not match their checksum)")
@@ -141,19 +142,21 @@ class Checkpoints:
         marker = {"format": FORMAT, "step": step, "size": len(data), "crc32": zlib.crc32(data)}
         write_atomically(self.folder / f"{name}.json", json.dumps(marker).encode())
         for old in self._markers()[KEPT:]:
-            self._remove(old)
+            old.unlink()
+            old.with_suffix(".safetensors").unlink(missing_ok=True)
         sync_folder(self.folder)
 
     def load(self, restore: Callable[[State], None]) -> int | None:
         """Hand the newest intact state to `restore`, the next older one if that raises `CheckpointError`.
 
-        Damaged checkpoints are removed, so that they cannot stand before the good ones that follow.
+        Damaged checkpoints are set aside as `damaged-...`, so that they cannot stand before the good ones that follow.
 
         Returns:
             The step of that state; None when there is no usable checkpoint (see `skipped`).
 
         Raises:
             ConfigError: the checkpoint was written in another format.
+            OSError: a file cannot be read now; nothing is set aside.
         """
         self.skipped = []
         for marker in self._markers():
@@ -163,12 +166,11 @@ class Checkpoints:
                 return step
             except CheckpointError as error:
                 self.skipped.append(f"{marker.stem}: {error}")
-                self._remove(marker)
+                self._set_aside(marker)
         return None
 
-    def _remove(self, marker: Path) -> None:
-        marker.unlink()
-        marker.with_suffix(".safetensors").unlink(missing_ok=True)
+    def _set_aside(self, marker: Path) -> None:
+        marker.replace(marker.with_name(f"damaged-{marker.name}"))
 
     def _markers(self) -> list[Path]:
         return sorted(self.folder.glob("state-*.json"), reverse=True)
@@ -178,7 +180,7 @@ class Checkpoints:
             told = json.loads(marker.read_bytes())
             version, step, size, crc = (int(told[key]) for key in ("format", "step", "size", "crc32"))
             data = marker.with_suffix(".safetensors").read_bytes()
-        except (OSError, ValueError, KeyError, TypeError) as error:
+        except (FileNotFoundError, ValueError, KeyError, TypeError) as error:
             raise CheckpointError(f"unreadable ({error})") from error
         if version != FORMAT:
             raise ConfigError(

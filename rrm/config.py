@@ -22,7 +22,7 @@ KNOWN_REWARDS = ("true", "prior")
 class Section(BaseModel):
     """What all sections share."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+    model_config = ConfigDict(frozen=True, strict=True, extra="forbid", allow_inf_nan=False)
 
 
 class AgentConfig(Section):
@@ -78,6 +78,15 @@ class FeedbackConfig(Section):
     pool: Count = 10  #: candidate pairs per query asked
     schedule: Literal["constant", "decay", "grow"] = "constant"  #: of the batch over the run
     window: Count = 100  #: newest complete episodes that segments are drawn from
+
+    def session_size(self, step: int, steps: int, requested: int) -> int:
+        """Queries of the session at `step` of a run of `steps`, of which `requested` have been put already.
+
+        `decay` asks fewer as the run goes on, `grow` more; the budget caps all of them.
+        """
+        factor = {"constant": 1.0, "decay": (steps - step) / steps or 0.01, "grow": steps / (steps - step + 1)}
+        wanted = max(1, int(self.batch * factor[self.schedule]))
+        return max(0, min(wanted, self.budget - requested))
 
 
 class TeacherConfig(Section):

@@ -31,7 +31,7 @@ class PriorError(RrmError):
 
 
 class CheckpointError(RrmError):
-    """A checkpoint that is missing, torn or of another version."""
+    """A checkpoint that is missing or torn."""
 
 
 class NumericalError(RrmError):

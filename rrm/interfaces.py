@@ -12,6 +12,8 @@ import numpy as np
 import numpy.typing as npt
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     import gymnasium
     from torch import Tensor
 
@@ -59,6 +61,8 @@ class Env(Protocol):
 class Agent(Stateful, Protocol):
     """An off-policy agent. It receives batches and knows neither environment nor buffer."""
 
+    updates: int  #: finished so far
+
     def act(self, obs: Floats, *, explore: bool) -> Floats:
         """Action float32 [A] for one observation float32 [O]: a sample when exploring, else the deterministic one."""
 
@@ -68,17 +72,14 @@ class Agent(Stateful, Protocol):
     def reset_critic(self) -> None:
         """Fresh critic, target and critic optimiser; actor and temperature stay (PEBBLE's first session)."""
 
+    def q_values(self, obs: Tensor, act: Tensor, params: Sequence[Tensor] | None = None) -> Tensor:
+        """What the critics say, float32 [2, B], differentiable; `params` stand in for their own."""
+
     def metrics(self) -> dict[str, float]:
         """Figures of the last update: `critic_loss`, `actor_loss`, `entropy`, `alpha`; NaN before the first."""
 
-    def state_dict(self) -> State:
-        """Networks, optimisers, targets and the update counter."""
 
-    def load_state_dict(self, state: State) -> None:
-        """Continue where `state_dict` was taken."""
-
-
-class RewardFunction(Protocol):
+class RewardFunction(Stateful, Protocol):
     """A learned reward: what an ensemble says of each step, with or without a prior inside."""
 
     def members(self, segments: Segments) -> Tensor:
@@ -89,12 +90,6 @@ class RewardFunction(Protocol):
 
     def parameters(self) -> list[Tensor]:
         """What an optimiser steps."""
-
-    def state_dict(self) -> State:
-        """Weights."""
-
-    def load_state_dict(self, state: State) -> None:
-        """Restore the weights."""
 
 
 class RewardLearner(Stateful, Protocol):
@@ -110,7 +105,7 @@ class RewardLearner(Stateful, Protocol):
 
 
 class Feedback(Protocol):
-    """What a session hands the learner: labelled pairs, and unlabelled ones for those who use them."""
+    """What a session hands the learner: every labelled pair so far."""
 
     def __len__(self) -> int:
         """Labelled pairs."""

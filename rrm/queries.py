@@ -1,4 +1,4 @@
-"""Which pairs of segments to ask about, and how many (PEBBLE's samplers; B-Pref, appendix)."""
+"""Which pairs of segments to ask about (PEBBLE's samplers; B-Pref, appendix)."""
 
 from __future__ import annotations
 
@@ -9,23 +9,15 @@ import numpy as np
 import numpy.typing as npt
 import torch
 
+from rrm.buffers.preferences import Rows
+
 if TYPE_CHECKING:
     from rrm.buffers.experience import Episode, Experience
     from rrm.config import FeedbackConfig
     from rrm.interfaces import RewardFunction
 
-Rows = npt.NDArray[np.int64]
 _SCORED_AT_ONCE = 128  # pairs per forward pass of the ensemble
-
-
-def batch_size(config: FeedbackConfig, step: int, steps: int, requested: int) -> int:
-    """Queries of the session at `step` of a run of `steps`, of which `requested` have been put already.
-
-    `decay` asks fewer as the run goes on, `grow` more; the budget caps all of them.
-    """
-    factor = {"constant": 1.0, "decay": (steps - step) / steps or 0.01, "grow": steps / (steps - step + 1)}
-    wanted = max(1, int(config.batch * factor[config.schedule]))
-    return max(0, min(wanted, config.budget - requested))
+_CENTERS_AT_ONCE = 256  # rows of the distance matrix of k-center
 
 
 def uniform_pairs(episodes: Sequence[Episode], segment: int, count: int, rng: np.random.Generator) -> Rows:
@@ -60,7 +52,7 @@ def select(
     """The `count` pairs to ask about now: first rows, int64 [count, 2].
 
     Args:
-        labelled: pairs asked before, which k-center keeps its distance from, int64 [n, 2].
+        labelled: pairs answered before, which k-center keeps its distance from, int64 [n, 2].
         first: the first session asks uniformly, since the reward has learned nothing to disagree about.
     """
     episodes = experience.episodes[-config.window :]
@@ -112,8 +104,9 @@ def _states(experience: Experience, pairs: Rows, config: FeedbackConfig) -> npt.
 def _kcenter(points: npt.NDArray[np.float32], centers: npt.NDArray[np.float32], count: int) -> npt.NDArray[np.int64]:
     """Greedy farthest-first: which `count` of `points` [n, D], each farthest from `centers` [m, D] and those chosen."""
     nearest = np.full(len(points), np.inf, np.float32)
-    for center in centers:
-        np.minimum(nearest, np.linalg.norm(points - center, axis=1), out=nearest)
+    for begin in range(0, len(centers), _CENTERS_AT_ONCE):
+        part = torch.from_numpy(centers[begin : begin + _CENTERS_AT_ONCE])
+        np.minimum(nearest, torch.cdist(torch.from_numpy(points), part).amin(dim=1).numpy(), out=nearest)
     chosen = []
     for _ in range(count):
         pick = int(nearest.argmax())

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import importlib
 import importlib.util
+import sys
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -36,6 +37,8 @@ def lookup(table: Mapping[str, str], kind: str, name: str) -> Any:
 def source_digest(name: str) -> str | None:
     """Sha-256 of the user's file behind `file.py:attribute`; None for a name of ours.
 
+    What that file imports from elsewhere is not part of it: a prior or learner is one self-contained file.
+
     Raises:
         ConfigError: the file cannot be read.
     """
@@ -53,13 +56,16 @@ def _from_file(name: str, kind: str) -> Any:
     path = Path(location)
     if not path.is_file():
         raise ConfigError(f"{kind} {name!r}: there is no file {path}; paths are relative to where the command runs")
-    spec = importlib.util.spec_from_file_location(f"rrm_user_{path.stem}", path)
+    unique = hashlib.sha256(str(path.resolve()).encode()).hexdigest()[:8]
+    spec = importlib.util.spec_from_file_location(f"rrm_user_{path.stem}_{unique}", path)
     assert spec is not None  # a .py path always has a loader
     assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module  # dataclasses look their module up
     try:
         spec.loader.exec_module(module)
-    except Exception as error:
+    except (Exception, SystemExit) as error:
+        del sys.modules[spec.name]
         raise ConfigError(f"{kind} {name!r}: {path} does not import: {type(error).__name__}: {error}") from error
     try:
         return getattr(module, attribute)

@@ -54,6 +54,8 @@ class Streams:
 
             words = np.random.SeedSequence(_entropy(self._seed, name)).generate_state(1, np.uint64)
             self._torch[name] = torch.Generator(device=device).manual_seed(int(words[0]) >> 1)
+        if self._torch[name].device.type != device:
+            raise ValueError(f"the stream {name!r} lives on {self._torch[name].device}, not on {device}")
         return self._torch[name]
 
     def state_dict(self) -> State:

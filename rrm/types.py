@@ -42,10 +42,10 @@ class EvalRow:
     step: int  #: environment steps taken when the policy was evaluated
     episodes: int  #: evaluation episodes behind this row
     true_return: float  #: mean undiscounted return of the true reward
-    success: float  #: share of episodes with success at any step; NaN for tasks without a success criterion
+    success: float  #: share of episodes with success (`evaluation.success`); NaN for tasks without such a criterion
     queries: int  #: queries put to the teacher so far, skipped ones included
     labels: int  #: labels kept so far
-    label_accuracy: float  #: agreement of the reward with the labels it was last trained on; NaN before any
+    label_accuracy: float  #: agreement with the labels during the last epoch of the last training; NaN before
     true_accuracy: float  #: agreement with the true reward on fresh uniform pairs; NaN where no reward is learned
     prior_mean: float  #: mean of r0 over the transitions since the last row; NaN without a prior
     residual_mean: float  #: mean of (reward - r0) over those transitions; NaN without a prior

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import traceback
 from collections.abc import Callable
 from numbers import Real
@@ -12,6 +11,8 @@ from rrm.errors import PriorError
 
 if TYPE_CHECKING:
     from rrm.priors.step import PriorStep
+
+_LARGEST = 3.4e38  # of a float32
 
 
 def evaluate_prior(prior: Callable[[PriorStep], float], step: PriorStep, where: str) -> float:
@@ -29,13 +30,13 @@ def evaluate_prior(prior: Callable[[PriorStep], float], step: PriorStep, where: 
         value = prior(step)
     except PriorError as error:
         raise PriorError(f"{where}: {error}") from error
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         raise PriorError(f"{where} raised {type(error).__name__}: {error}{_line(error)}") from error
     number = _number(value)
     if number is None:
         raise PriorError(f"{where} returned {_shown(value)}; a prior returns one number per step")
-    if not math.isfinite(number):
-        raise PriorError(f"{where} returned {number}; a prior returns a finite number")
+    if not abs(number) <= _LARGEST:
+        raise PriorError(f"{where} returned {number}; a prior returns a finite number that fits into a float32")
     return number
 
 
@@ -53,6 +54,6 @@ def _shown(value: Any) -> str:
     return f"{text if len(text) <= 60 else text[:57] + '...'} ({described})"
 
 
-def _line(error: Exception) -> str:
+def _line(error: BaseException) -> str:
     frames = traceback.extract_tb(error.__traceback__)[1:]  # the first is ours
     return f" ({frames[-1].filename}, line {frames[-1].lineno})" if frames else ""

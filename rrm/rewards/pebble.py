@@ -13,6 +13,7 @@ import torch
 from torch import Tensor
 
 from rrm.config import RewardConfig
+from rrm.errors import NumericalError
 from rrm.interfaces import Agent, Feedback, RewardFunction
 from rrm.losses import preference_logit, preference_loss
 from rrm.types import Batch, Segments, State
@@ -34,12 +35,17 @@ class Pebble:
         Returns:
             `label_accuracy` of the last epoch (each minibatch before its step, ties left out; NaN if all are ties),
             `reward_loss`, and `epochs` done.
+
+        Raises:
+            NumericalError: the loss is not finite.
         """
         epochs = 0
         accuracy = loss = float("nan")
         while epochs < self.config.epochs and not accuracy > self.config.target_accuracy:
             accuracy, loss = self._epoch(feedback)
             epochs += 1
+        if not np.isfinite(loss):
+            raise NumericalError(f"the loss of the reward is {loss} after {len(feedback)} labels")
         return {"label_accuracy": accuracy, "reward_loss": loss, "epochs": float(epochs)}
 
     def _epoch(self, feedback: Feedback) -> tuple[float, float]:

@@ -46,7 +46,7 @@ class ScriptedTeacher:
         flipped = self._rng.random(len(labels)) < config.mistake
         labels = np.where(flipped, FIRST + SECOND - labels, labels).astype(np.int8)
         labels[np.abs(sums[0] - sums[1]) < config.equal * typical] = EQUAL
-        if config.skip > 0:
+        if config.skip * typical > 0:  # where a typical segment is worth less than nothing there is no such threshold
             labels[sums.max(axis=0) <= config.skip * typical] = SKIPPED
         return labels
 

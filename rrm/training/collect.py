@@ -36,7 +36,7 @@ class PriorSource:
 
     def begin_episode(self, obs: Floats) -> None:
         """Remember where the episode began, for priors that refer to it."""
-        self._first = obs
+        self._first = _read_only(obs)
 
     def __call__(self, obs: Floats, act: Floats, info: dict[str, Any], step: int) -> tuple[float, float]:
         """Raw and scaled prior of the step from `obs` by `act` whose outcome is `info`.
@@ -44,6 +44,7 @@ class PriorSource:
         Raises:
             PriorError: the prior raised, or returned something else than one finite number.
         """
+        obs, act = _read_only(obs), _read_only(act)
         scene = PriorStep(
             task=self._task, obs=obs, act=act, info=info, rng=self._rng, first=Scene(self._task, self._first)
         )
@@ -56,3 +57,10 @@ class PriorSource:
     def load_state_dict(self, state: State) -> None:
         self._normaliser.load_state_dict(state["normaliser"])
         self._first = state["first"]
+
+
+def _read_only(array: Floats) -> Floats:
+    """A view that cannot be written: what a prior looks at is what will be stored."""
+    view = array.view()
+    view.flags.writeable = False
+    return view

@@ -7,8 +7,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-import math
-from typing import Any, Literal, Self
+from typing import Any, Literal, Self, TypeVar
 
 from pydantic import model_validator
 
@@ -29,6 +28,8 @@ from rrm.errors import ConfigError, UnknownNameError
 from rrm.priors import check_prior
 from rrm.registry import is_file_reference, source_digest
 from rrm.rewards import LEARNERS
+
+_S = TypeVar("_S", bound=Section)
 
 #: Raised by one when the same configuration would give other numbers than before.
 CONFIG_VERSION = 1
@@ -62,8 +63,15 @@ class RunConfig(Section):
             check_prior(self.reward.prior, spec)
         elif self.reward.learner == "prior":
             raise ConfigError('reward.prior: the learner "prior" trains on a prior alone and needs one named')
+        if self.reward.options and not is_file_reference(self.reward.learner):
+            raise ConfigError(f"reward.options: the learner {self.reward.learner!r} takes none")
         if self.reward.is_learned:
             self._feedback_can_be_met()
+        elif self.random_steps + 1 >= self.steps:
+            raise ConfigError(
+                f"steps: the run ends at {self.steps}, before the first update; "
+                f"exploration.seed_steps are {self.random_steps}"
+            )
         return self
 
     def _feedback_can_be_met(self) -> None:
@@ -115,13 +123,21 @@ class RunConfig(Section):
         Raises:
             ConfigError: a file of the user's cannot be read.
         """
-        reward = self.reward
+        reward, explore = self.reward, self.exploration
         changes: dict[str, Any] = {}
         if not reward.is_learned:
             keep = {"learner": reward.learner, "prior": reward.prior, "normaliser": reward.normaliser}
             reward = RewardConfig(**(keep if reward.learner == "prior" else {"learner": reward.learner}))
             changes |= {"feedback": None, "teacher": None}
-            changes["exploration"] = ExplorationConfig(seed_steps=self.exploration.seed_steps)
+            changes["exploration"] = ExplorationConfig(seed_steps=explore.seed_steps)
+        else:
+            if reward.prior is None:
+                reward = _defaulted(reward, "normaliser")
+            if self.feedback is not None and self.feedback.sampler == "uniform":
+                changes["feedback"] = _defaulted(self.feedback, "pool")
+            if not explore.unsupervised_steps:
+                explore = _defaulted(explore, "neighbours")
+            changes["exploration"] = explore.model_copy(update={"seed_steps": self.random_steps})
         digests = {"learner_digest": source_digest(reward.learner)}
         if reward.prior is not None:
             digests["prior_digest"] = source_digest(reward.prior)
@@ -161,8 +177,17 @@ class RunConfig(Section):
         """Feedback sessions that fit into the run at its budget; 0 where nothing is learned."""
         if not self.reward.is_learned or self.feedback is None:
             return 0
-        fit = 1 + (self.steps - 1 - self.first_session) // self.feedback.every
-        return min(fit, math.ceil(self.feedback.budget / self.feedback.batch))
+        sessions = asked = 0
+        for step in range(self.first_session, self.steps, self.feedback.every):
+            if asked >= self.feedback.budget:
+                break
+            asked += self.feedback.session_size(step, self.steps, asked)
+            sessions += 1
+        return sessions
+
+
+def _defaulted(section: _S, field: str) -> _S:
+    return section.model_copy(update={field: type(section).model_fields[field].default})
 
 
 def _short(name: str) -> str:

@@ -127,6 +127,8 @@ class Trainer:
         batch = self.experience.sample(agent.batch, self._replay)
         if self.sessions is not None and self.sessions.learner.refine(batch, self.agent):
             self.sessions.relabel()
+            reward = self.sessions.learner.reward.predict(batch.obs, batch.act, batch.prior)
+            batch = batch._replace(reward=reward)
         self.agent.update(batch)
 
     def _update_on_entropy(self) -> None:
@@ -164,7 +166,7 @@ class Trainer:
         config = self.config
         result = evaluate(self.agent, self._eval_env, config.evaluation, seed=config.seed, step=self.step)
         figures: dict[str, Any] = self.agent.metrics()
-        if np.isinf(list(figures.values())).any():
+        if self.agent.updates and not np.isfinite(list(figures.values())).all():
             raise NumericalError(f"step {self.step}: a figure of the agent is not finite: {figures}")
         wall = self.clock.now()
         elapsed = wall - self.clock.row_wall_s

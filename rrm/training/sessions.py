@@ -8,7 +8,7 @@ from rrm.buffers.experience import Experience
 from rrm.buffers.preferences import SKIPPED, LabelledSegments, Preferences
 from rrm.config import FeedbackConfig
 from rrm.interfaces import RewardLearner, Teacher
-from rrm.queries import batch_size, select, uniform_pairs
+from rrm.queries import select, uniform_pairs
 from rrm.training.config import RunConfig
 from rrm.types import State
 
@@ -47,7 +47,7 @@ class Sessions:
 
     def hold(self, step: int) -> None:
         """One session: queries, labels, training of the reward, new rewards for all that has been lived."""
-        count = batch_size(self._config, step, self._run.steps, self.requested)
+        count = self._config.session_size(step, self._run.steps, self.requested)
         pairs = select(
             self._config, count,
             experience=self._experience, reward=self.learner.reward, labelled=self.preferences.pairs, rng=self._rng,

@@ -78,6 +78,22 @@ def test_every_truncation_falls_back_to_the_one_before(tmp_path, kind):
         assert checkpoints.load(lambda _: None) == 10
         assert len(checkpoints.skipped) == 1
         assert not (tmp_path / "state-000000000020.json").exists()
+        assert (tmp_path / "damaged-state-000000000020.json").exists()
+
+
+def test_a_file_that_cannot_be_read_now_is_not_damage(tmp_path, monkeypatch):
+    """Too many open files, a stale mount: the error goes up and every checkpoint stays."""
+    checkpoints = Checkpoints(tmp_path)
+    checkpoints.save(10, {})
+
+    def refuse(path):
+        raise OSError(24, "Too many open files", str(path))
+
+    before = sorted(tmp_path.iterdir())
+    monkeypatch.setattr(type(tmp_path), "read_bytes", refuse)
+    with pytest.raises(OSError, match="Too many open files"):
+        checkpoints.load(lambda _: None)
+    assert sorted(tmp_path.iterdir()) == before
 
 
 def test_flipped_bytes_are_noticed(tmp_path):

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from rrm.buffers.experience import Episode
 from rrm.config import FeedbackConfig
-from rrm.queries import _kcenter, batch_size, disagreement, mean_entropy, select, uniform_pairs
+from rrm.queries import _kcenter, disagreement, mean_entropy, member_probabilities, select, uniform_pairs
 from tests.rrm.buffers.test_experience import lived
 
 
@@ -38,13 +38,13 @@ def test_episodes_shorter_than_a_segment_are_passed_over():
 def test_the_budget_is_never_exceeded(batch, requested, budget, step, schedule):
     """Whatever the schedule, no session asks for more than is left."""
     config = FeedbackConfig(batch=batch, budget=budget, schedule=schedule)
-    count = batch_size(config, step, 1000, requested)
+    count = config.session_size(step, 1000, requested)
     assert 0 <= count <= max(0, budget - requested)
 
 
 def test_schedules_follow_their_formulas():
     """Constant, falling and growing batches at half time (B-Pref)."""
-    sizes = {s: batch_size(FeedbackConfig(batch=50, schedule=s), 500, 1000, 0) for s in ("constant", "decay", "grow")}
+    sizes = {s: FeedbackConfig(batch=50, schedule=s).session_size(500, 1000, 0) for s in ("constant", "decay", "grow")}
     assert sizes == {"constant": 50, "decay": 25, "grow": 99}
 
 
@@ -87,15 +87,44 @@ def test_every_sampler_returns_pairs_of_its_pool(sampler):
     assert set(pairs.flat) <= allowed
 
 
-def test_disagreement_asks_what_the_members_dispute_most():
-    """The pairs chosen are those of the pool with the largest spread."""
+def asked_and_pool(sampler, count=3, labelled=None):
+    """What a sampler picks, and the pool it picked from."""
     experience = lived([30])
-    config = FeedbackConfig(sampler="disagreement", segment=2, pool=20)
-    rng = np.random.default_rng(0)
-    pool = uniform_pairs(experience.episodes, 2, 60, np.random.default_rng(0))
-    pairs = select(config, 3, experience=experience, reward=Opinions(), labelled=pool[:0], rng=rng, first=False)
-    gap = lambda rows: abs(np.diff(rows, axis=1)).ravel()  # noqa: E731
-    assert sorted(gap(pool))[-3:] == sorted(gap(pairs))
+    config = FeedbackConfig(sampler=sampler, segment=2, pool=20)
+    pool = uniform_pairs(experience.episodes, 2, 20 * count, np.random.default_rng(0))
+    labelled = pool[:0] if labelled is None else labelled
+    pairs = select(
+        config, count, experience=experience, reward=Opinions(), labelled=labelled, rng=np.random.default_rng(0),
+        first=False,
+    )  # fmt: skip
+    return pairs, pool, member_probabilities(experience, Opinions(), pool, 2)
+
+
+@pytest.mark.parametrize(("sampler", "score"), [("disagreement", disagreement), ("entropy", mean_entropy)])
+def test_the_highest_scores_of_the_pool_are_asked(sampler, score):
+    """The pairs chosen are those of the pool that score highest, whatever their order."""
+    pairs, pool, probability = asked_and_pool(sampler)
+    best = pool[np.argsort(-score(probability), kind="stable")[:3]]
+    assert sorted(map(tuple, best)) == sorted(map(tuple, pairs))
+
+
+@pytest.mark.parametrize(
+    ("sampler", "score"), [("kcenter-disagreement", disagreement), ("kcenter-entropy", mean_entropy)]
+)
+def test_k_center_picks_from_the_better_half(sampler, score):
+    """With a score, the farthest are looked for among the half of the pool that scores higher."""
+    pairs, pool, probability = asked_and_pool(sampler)
+    half = pool[np.argsort(-score(probability), kind="stable")[: len(pool) // 2]]
+    assert set(map(tuple, pairs)) <= set(map(tuple, half))
+
+
+def test_k_center_keeps_away_from_what_was_labelled():
+    """The first pick is the pair of the pool farthest from every labelled one."""
+    labelled = np.array([[0, 0], [28, 28]])
+    pairs, pool, _ = asked_and_pool("kcenter", labelled=labelled)
+    nearest = np.sqrt(2) * np.linalg.norm(pool[:, None] - labelled[None], axis=-1).min(axis=1)
+    distance = nearest[[int(np.flatnonzero((pool == pairs[0]).all(axis=1))[0])]]
+    assert distance == pytest.approx(nearest.max())
 
 
 def test_the_first_session_is_uniform():

@@ -32,6 +32,7 @@ def test_a_users_file_is_loaded(tmp_path):
         ("x = 1\n", "y", "defines no 'y'"),
         ("raise RuntimeError('oh')\n", "y", "does not import: RuntimeError: oh"),
         ("def (:\n", "y", "does not import: SyntaxError"),
+        ("import sys; sys.exit(0)\n", "y", "does not import: SystemExit: 0"),
     ],
 )
 def test_a_bad_file_of_the_users_says_why(tmp_path, text, name, message):
@@ -40,6 +41,15 @@ def test_a_bad_file_of_the_users_says_why(tmp_path, text, name, message):
     file.write_text(text)
     with pytest.raises(ConfigError, match=message):
         lookup(TABLE, "prior", f"{file}:{name}")
+
+
+def test_a_users_file_may_define_dataclasses(tmp_path):
+    """Postponed annotations and dataclasses work in a user's file as in a module."""
+    file = tmp_path / "mine.py"
+    file.write_text(
+        "from __future__ import annotations\nimport dataclasses\n@dataclasses.dataclass\nclass D:\n    x: int = 3\n"
+    )
+    assert lookup(TABLE, "prior", f"{file}:D")().x == 3
 
 
 def test_a_missing_file_says_so(tmp_path):

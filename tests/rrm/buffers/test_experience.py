@@ -102,6 +102,9 @@ def test_saved_in_pieces_it_comes_back_whole(tmp_path_factory, episode_lengths, 
     restored.load(folder, state)
     assert restored.episodes == growing.episodes
     assert (restored.rows, restored.transitions) == (growing.rows, growing.transitions)
+    for column in ("obs", "act", "prior", "raw_prior", "true_reward", "reward", "continues"):
+        rows = growing.since(0) if column == "continues" else slice(growing.rows + (column == "obs"))
+        assert torch.equal(getattr(growing, column)[rows], getattr(restored, column)[rows]), column
     a, b = (x.sample(100, torch.Generator().manual_seed(1)) for x in (growing, restored))
     assert all(torch.equal(x, y) for x, y in zip(a, b, strict=True))
 

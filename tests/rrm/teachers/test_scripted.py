@@ -57,6 +57,13 @@ def test_thresholds_are_shares_of_a_typical_segment():
         assert teach.label(pairs(0.0, high)).tolist() == [SECOND]
 
 
+def test_nothing_is_skipped_where_returns_are_negative():
+    """A typical segment worth less than nothing gives no threshold below which to skip."""
+    teach = teacher(skip=0.5)
+    teach.observe_return(-1000.0, 100)
+    assert teach.label(pairs(-20.0, -30.0)).tolist() == [FIRST]
+
+
 def test_only_the_last_ten_episodes_count():
     """The window forgets, and holds nothing before the first episode."""
     teach = teacher(equal=0.1)

@@ -14,11 +14,13 @@ def tiny():
     """Makes a run of a few hundred steps: 50-step episodes, feedback every 150 steps from step 150 (200) on."""
 
     def make(learner="pebble", **fields):
-        reward = RewardConfig(learner=learner, hidden=16, layers=1, epochs=3, prior=fields.pop("prior", None))
+        known = {key: fields.pop(key) for key in ("prior", "normaliser") if key in fields}
+        sampler = {"sampler": fields.pop("sampler")} if "sampler" in fields else {}
+        reward = RewardConfig(learner=learner, hidden=16, layers=1, epochs=3, **known)
         given = {
             "profile": "test", "task": "toy-car", "seed": 0, "steps": 700, "horizon": 50, "reward": reward,
             "agent": AgentConfig(hidden=16, layers=1, batch=16),
-            "feedback": FeedbackConfig(every=150, batch=10, budget=25, segment=10),
+            "feedback": FeedbackConfig(every=150, batch=10, budget=25, segment=10, **sampler),
             "exploration": ExplorationConfig(seed_steps=100, unsupervised_steps=50, reset_updates=5),
             "evaluation": EvaluationConfig(every=250, episodes=2),
         }  # fmt: skip

@@ -24,14 +24,39 @@ def test_the_defaults_are_the_papers():
     assert (feedback.batch, feedback.every, feedback.segment, feedback.budget) == (50, 5000, 50, 5000)
 
 
+OTHER = {int: lambda v: v + 1, float: lambda v: v * 0.5 if v else 0.25, str: None, bool: None}
+#: Values that are not reached by arithmetic, or that need a partner to mean anything.
+SPECIAL = {
+    "agent": {}, "evaluation": {"success": "last"}, "teacher": {"beta": 1.0},
+    "reward": {"learner": "true", "prior": "proxy", "normaliser": None},
+    "feedback": {"sampler": "uniform", "schedule": "decay"}, "exploration": {"neighbours": None},
+}  # fmt: skip
+NOT_NUMBERS = {"options", "prior_digest", "learner_digest", "deterministic"}
+
+
+def every_change():
+    """Each field of each section with another value, one at a time."""
+    base = run()
+    for section, specials in SPECIAL.items():
+        part = getattr(base, section)
+        for field in type(part).model_fields:
+            special = specials.get(field, ...)
+            if field in NOT_NUMBERS or special is None:
+                continue
+            value = getattr(part, field)
+            other = OTHER[type(value)](value) if special is ... else special
+            yield f"{section}.{field}", run(**{section: part.model_copy(update={field: other})})
+    yield from ((f"{k}={v}", run(**{k: v})) for k, v in {
+        "seed": 1, "steps": 400_000, "task": "door-open", "horizon": 250, "threads": 2, "profile": "laptop",
+    }.items())  # fmt: skip
+
+
 def test_anything_that_can_change_numbers_changes_the_identity():
-    """Task, seed, steps, every section, horizon and threads are part of it."""
-    variants = [
-        run(), run(seed=1), run(steps=400_000), run(task="door-open"), run(horizon=250), run(threads=2),
-        run(profile="laptop"), run(reward=RewardConfig(prior="proxy")), run(teacher=TeacherConfig(mistake=0.1)),
-        run(feedback=FeedbackConfig(batch=25)), run(exploration=ExplorationConfig(unsupervised_steps=9000)),
-    ]  # fmt: skip
-    assert len({v.identity for v in variants}) == len(variants)
+    """Every field of every section, each on its own, makes another run."""
+    changed = dict(every_change())
+    assert len(changed) > 40
+    identities = {name: config.identity for name, config in changed.items()} | {"base": run().identity}
+    assert len(set(identities.values())) == len(identities), identities
 
 
 def test_what_cannot_change_numbers_does_not():
@@ -40,6 +65,13 @@ def test_what_cannot_change_numbers_does_not():
     assert run(**oracle).identity == run(**oracle, teacher=TeacherConfig(mistake=0.1)).identity
     assert run(**oracle).identity == run(reward=RewardConfig(learner="true", hidden=64, prior="proxy")).identity
     assert run().identity == run(horizon=500).identity
+    assert run().identity == run(reward=RewardConfig(normaliser="zscore")).identity
+    assert run().identity == run(exploration=ExplorationConfig(neighbours=7)).identity
+    uniform = [run(feedback=FeedbackConfig(sampler="uniform", pool=pool)).identity for pool in (10, 20)]
+    assert uniform[0] == uniform[1]
+    walker = {"task": "walker-walk", "reward": RewardConfig(prior="proxy")}
+    late = ExplorationConfig(seed_steps=2000)
+    assert run(**walker).identity == run(**walker, exploration=late).identity
 
 
 def test_identities_are_stable():
@@ -93,6 +125,8 @@ def test_methods_are_named_as_in_the_tables(fields, method):
         ({"steps": 1000}, "the run ends at 1000, before the first feedback at 1000"),
         ({"horizon": 501}, "longer than button-press's episode of 500"),
         ({"feedback": None}, "needs both"),
+        ({"steps": 1000, "reward": RewardConfig(learner="true")}, "before the first update"),
+        ({"reward": RewardConfig(options={"a": 1})}, "takes none"),
     ],
 )
 def test_what_cannot_be_run_is_refused(fields, message):
@@ -101,7 +135,9 @@ def test_what_cannot_be_run_is_refused(fields, message):
         run(**fields)
 
 
-@pytest.mark.parametrize("fields", [{"stpes": 1}, {"agent": {"hiden": 1}}, {"steps": 0}, {"seed": -1}, {"steps": "x"}])
+@pytest.mark.parametrize(
+    "fields", [{"stpes": 1}, {"agent": {"hiden": 1}}, {"steps": 0}, {"seed": -1}, {"steps": "600000"}, {"seed": True}]
+)
 def test_unknown_keys_and_wrong_types_are_refused(fields):
     """Nothing is ignored and nothing is coerced into sense."""
     with pytest.raises(ValidationError):
@@ -118,7 +154,7 @@ def test_feedback_waits_for_two_episodes():
 
 @given(st.integers(1500, 100_000), st.integers(1, 9000), st.integers(1, 60), st.integers(1, 5000))
 def test_sessions_are_those_the_loop_holds(steps, every, batch, budget):
-    """The closed form counts what a walk over the steps counts."""
+    """As many as a walk over the steps counts, each asking its batch until the budget is spent."""
     config = run(steps=steps, feedback=FeedbackConfig(every=every, batch=batch, budget=budget))
     asked = sessions = 0
     for _ in range(config.first_session, steps, every):

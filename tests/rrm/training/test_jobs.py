@@ -7,6 +7,7 @@ import textwrap
 
 import pytest
 
+from rrm.config import TeacherConfig
 from rrm.training.jobs import train
 
 METHODS = [
@@ -14,7 +15,11 @@ METHODS = [
     {"learner": "prior", "prior": "random"},
     {},
     {"prior": "proxy"},
-]
+    {
+        "prior": "proxy", "normaliser": "zscore", "sampler": "kcenter-entropy",
+        "teacher": TeacherConfig(beta=2.0, gamma=0.9, mistake=0.1, skip=0.1, equal=0.1),
+    },
+]  # fmt: skip
 
 
 def interrupted(config, folder, recorder, patience, **options):

@@ -171,3 +171,40 @@ def test_a_reward_that_is_not_finite_stops_the_run(tiny, monkeypatch):
     monkeypatch.setattr(trainer.env, "step", broken)
     with pytest.raises(NumericalError, match="step 0: the true reward is nan"):
         trainer.advance()
+
+
+def test_a_refined_reward_is_what_the_batch_is_trained_on(tiny, monkeypatch):
+    """When the learner changes the reward before an update, buffer and batch carry the new one."""
+    trainer = Trainer(tiny(prior="proxy"))
+    for _ in range(200):
+        trainer.advance()
+    learner, seen = trainer.sessions.learner, []
+
+    def refine(batch, agent):
+        with torch.no_grad():
+            for parameter in learner.reward.parameters():
+                parameter.mul_(1.5)
+        return True
+
+    monkeypatch.setattr(learner, "refine", refine)
+    monkeypatch.setattr(trainer.agent, "update", seen.append)
+    trainer.advance()
+    batch = seen[0]
+    torch.testing.assert_close(learner.reward.predict(batch.obs, batch.act, batch.prior), batch.reward)
+
+
+def test_a_prior_cannot_change_what_is_stored(tiny, tmp_path):
+    """Writing to the observation or action it is shown is an error that names the prior."""
+    file = tmp_path / "mine.py"
+    file.write_text("def careless(step):\n    step.obs[0] += 1\n    return 0.0\n")
+    trainer = Trainer(tiny(prior=f"{file}:careless"))
+    with pytest.raises(PriorError, match=r"careless.*read-only"):
+        trainer.advance()
+
+
+def test_a_prior_beyond_float32_is_refused(tiny, tmp_path):
+    """A number that cannot be stored names the prior and the step."""
+    file = tmp_path / "mine.py"
+    file.write_text("def huge(step):\n    return 1e39\n")
+    with pytest.raises(PriorError, match=r"huge.* at step 0 returned 1e\+39"):
+        Trainer(tiny(prior=f"{file}:huge")).advance()
