@@ -12,24 +12,29 @@ from pathlib import Path
 
 import pytest
 
+from rrm.config import TeacherConfig
 from rrm.envs import TASKS
 from rrm.priors import PRIORS
 from rrm.registry import lookup
 from rrm.rewards import LEARNERS
 from rrm.teachers import TEACHERS
-from rrm.training.config import TeacherConfig
-from rrmctl import profiles
+from rrmctl.planning import profiles
 
 ROOT = Path(__file__).parents[1]
 
 #: Modules of rrmctl that know the library; everything else reads what they leave behind.
 KNOW_RRM = {
-    *("methods", "settings", "cells", "plan"),  # names and settings become configurations
-    *("runfile", "worker"),  # a configuration's way into the process that trains
+    *(
+        "planning.methods",
+        "planning.settings",
+        "planning.cells",
+        "planning.plan",
+    ),  # names and settings become configurations
+    *("running.runfile", "running.worker"),  # a configuration's way into the process that trains
     "cli.app",  # errors become messages
 }
-#: The tables of tasks and errors are light, and what a task is scored by is theirs to say.
-FACTS = {"rrm.envs.tasks", "rrm.errors"}
+#: Light, and the one place for what they say: tasks and how they are scored, errors, durable writes.
+FACTS = {"rrm.envs.tasks", "rrm.errors", "rrm.files"}
 
 #: Floors of `rrm`: a module imports from floors below its own, or from its own package.
 FLOORS = {
@@ -165,7 +170,8 @@ def test_help_answers_at_once(code: str) -> None:
 def test_planning_needs_no_torch() -> None:
     """Ten thousand jobs are planned without the learning library or a simulator."""
     code = (
-        "from pathlib import Path; from rrmctl.manifest import load; from rrmctl.plan import make_plan;"
+        "from pathlib import Path; from rrmctl.planning.manifest import load;"
+        "from rrmctl.planning.plan import make_plan;"
         "make_plan(load(Path('experiments/main-results.toml'))); import sys;"
         "print([m for m in ('torch', 'mujoco', 'metaworld', 'pandas') if m in sys.modules])"
     )

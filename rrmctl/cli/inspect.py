@@ -27,8 +27,8 @@ from rrmctl.errors import Exit, UserError
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from rrmctl.manifest import Manifest
-    from rrmctl.plan import Job, Plan
+    from rrmctl.planning.manifest import Manifest
+    from rrmctl.planning.plan import Job, Plan
 
 JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON for programs instead of a table.")]
 
@@ -42,7 +42,7 @@ def list_(experiments: ExperimentsOption = DEFAULT_EXPERIMENTS, as_json: JsonOpt
     """
     from rich.table import Table
 
-    from rrmctl.manifest import available, load
+    from rrmctl.planning.manifest import available, load
 
     good, bad = [], []
     for path in available(experiments):
@@ -63,7 +63,7 @@ def list_(experiments: ExperimentsOption = DEFAULT_EXPERIMENTS, as_json: JsonOpt
 
 
 def _described(manifest: Manifest) -> dict[str, Any]:
-    from rrmctl.plan import make_plan
+    from rrmctl.planning.plan import make_plan
 
     plan = make_plan(manifest)
     return {

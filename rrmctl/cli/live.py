@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from rrmctl.cli.request import duration
-from rrmctl.pool import Assignment
-from rrmctl.scheduler import Ending, Outcome, Phase
+from rrmctl.running.pool import Assignment
+from rrmctl.running.scheduler import Ending, Outcome, Phase
 from rrmctl.store.layout import Layout
 from rrmctl.store.reader import log_tail
 from rrmctl.store.records import ErrorKind, RunError

@@ -20,14 +20,14 @@ def complete_experiment(incomplete: str) -> list[str]:
 
 def complete_profile(incomplete: str) -> list[str]:
     """For the shell: profiles whose name starts with what was typed."""
-    from rrmctl.profiles import profiles
+    from rrmctl.planning.profiles import profiles
 
     return [name for name in profiles() if name.startswith(incomplete)]
 
 
 def complete_setting(incomplete: str) -> list[str]:
     """For the shell: settings that can follow --set."""
-    from rrmctl.settings import known_settings
+    from rrmctl.planning.settings import known_settings
 
     return [f"{name}=" for name in known_settings() if name.startswith(incomplete)]
 

@@ -141,7 +141,7 @@ def _with_runs(sections: Sequence[Section]) -> list[Section]:
 
 def _figure_name(section: Section) -> str:
     """Experiment and variant; the paper's own needs no mention."""
-    from rrmctl.profiles import PAPER
+    from rrmctl.planning.profiles import PAPER
 
     return section.experiment if section.variant == PAPER else f"{section.experiment}-{section.variant}"
 

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 from rrmctl.cli.options import DEFAULT_EXPERIMENTS, split_names
 
 if TYPE_CHECKING:
-    from rrmctl.cost import Estimate
-    from rrmctl.plan import Plan
+    from rrmctl.planning.cost import Estimate
+    from rrmctl.planning.plan import Plan
     from rrmctl.store.layout import Layout
     from rrmctl.store.records import Status
 
@@ -35,8 +35,8 @@ class Request:
         Raises:
             UserError: the experiment is unknown, or an option does not fit it.
         """
-        from rrmctl import manifest
-        from rrmctl.plan import make_plan
+        from rrmctl.planning import manifest
+        from rrmctl.planning.plan import make_plan
 
         return make_plan(
             manifest.load(manifest.find(self.name, self.experiments)),
@@ -80,7 +80,7 @@ def forecast(plan: Plan, layout: Layout) -> Forecast:
     Raises:
         UserError: a sweep record is damaged.
     """
-    from rrmctl.cost import estimate, stored_rates
+    from rrmctl.planning.cost import estimate, stored_rates
     from rrmctl.store.reader import run_status
 
     states = {job.id: run_status(layout.run(job.id)) for job in plan.jobs}
@@ -103,8 +103,8 @@ def in_words(forecast: Forecast, cores: int) -> str:
 
 def smaller(request: Request, plan: Plan) -> list[str]:
     """How to pay less: what the same request would cost in cheaper profiles, and how to ask for a part of it."""
-    from rrmctl.cost import estimate, measure_gemm
-    from rrmctl.profiles import profiles
+    from rrmctl.planning.cost import estimate, measure_gemm
+    from rrmctl.planning.profiles import profiles
 
     gemm = measure_gemm()
     bound = estimate(plan, {}, gemm).core_hours()

@@ -30,8 +30,8 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from rrmctl.cli.request import Forecast
-    from rrmctl.plan import Job, Plan
-    from rrmctl.pool import Assignment
+    from rrmctl.planning.plan import Job, Plan
+    from rrmctl.running.pool import Assignment
     from rrmctl.store.layout import Layout
     from rrmctl.store.records import JobRecord, Status
 
@@ -162,7 +162,7 @@ def _is_open(status: Status, *, retry_failed: bool) -> bool:
 
 def _record(layout: Layout, plan: Plan) -> None:
     """Write down what was asked for: first every run's configuration, then the sweep that names them."""
-    from rrmctl.runfile import config_content
+    from rrmctl.running.runfile import config_content
     from rrmctl.store.records import SweepRecord, record_config, record_sweep
 
     for job in plan.jobs:
@@ -186,7 +186,7 @@ def _job_record(job: Job) -> JobRecord:
 
 
 def _assignment(job: JobRecord, status: Status, threads: int, *, fresh: bool) -> Assignment:
-    from rrmctl.pool import Assignment
+    from rrmctl.running.pool import Assignment
 
     return Assignment(
         id=job.id, label=job.label, steps=job.steps, threads=threads, attempt=status.attempt, fresh=fresh
@@ -208,7 +208,7 @@ def _threads(layout: Layout, job: JobRecord) -> int:
 def _run(console: Console, layout: Layout, assigned: Sequence[Assignment], slots: int) -> Exit:
     """Run the jobs, shown as bars at a terminal and as lines elsewhere."""
     from rrmctl.cli.live import Bars, Lines
-    from rrmctl.pool import Pool
+    from rrmctl.running.pool import Pool
 
     asked = ["rrmctl", *sys.argv[1:]]
     if not assigned:

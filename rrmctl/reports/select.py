@@ -17,7 +17,7 @@ import numpy as np
 
 from rrm.envs.tasks import task
 from rrmctl.errors import UserError
-from rrmctl.manifest import nearest
+from rrmctl.planning.manifest import nearest
 from rrmctl.reports.series import Absent, Label, Section, Series
 from rrmctl.store.layout import Layout
 from rrmctl.store.reader import load, open_results, planned, read_config

@@ -12,6 +12,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+from rrm.files import sync_folder, write_atomically
 from rrmctl.errors import UserError
 
 #: What the operating system says when it is the place, not the program, that cannot take a write.
@@ -43,16 +44,9 @@ def write_bytes(path: Path, data: bytes) -> None:
     Raises:
         StorageError: no space, no permission; the old file is untouched.
     """
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        try:
-            _write_through(temporary, data)
-            temporary.replace(path)
-        except BaseException:
-            temporary.unlink(missing_ok=True)
-            raise
-        _sync_folder(path.parent)
+        write_atomically(path, data)
     except OSError as error:
         raise storage_error(path, error) from error
 
@@ -92,7 +86,7 @@ def set_aside(path: Path, suffix: str) -> Path:
     while (aside := path.with_name(f"{path.name}.{suffix}-{number}")).exists():
         number += 1
     path.replace(aside)
-    _sync_folder(path.parent)
+    sync_folder(path.parent)
     return aside
 
 
@@ -151,18 +145,3 @@ def is_locked(path: Path) -> bool:
     finally:
         os.close(descriptor)
     return False
-
-
-def _write_through(path: Path, data: bytes) -> None:
-    with path.open("wb") as file:
-        file.write(data)
-        file.flush()
-        os.fsync(file.fileno())
-
-
-def _sync_folder(folder: Path) -> None:
-    descriptor = os.open(folder, os.O_RDONLY)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)

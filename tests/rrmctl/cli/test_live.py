@@ -10,8 +10,8 @@ import pytest
 from rich.console import Console
 
 from rrmctl.cli.live import Bars, Lines, score
-from rrmctl.pool import Assignment
-from rrmctl.scheduler import Ending, Outcome, Phase
+from rrmctl.running.pool import Assignment
+from rrmctl.running.scheduler import Ending, Outcome, Phase
 from rrmctl.store.layout import Layout
 from rrmctl.store.records import ErrorKind, RunError
 

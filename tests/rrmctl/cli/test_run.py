@@ -25,7 +25,7 @@ from rrmctl.store.reader import run_status
 from rrmctl.store.records import ErrorKind, RunError, State, Status, read_sweeps, write_status
 from rrmctl.store.schema import TIMINGS
 from rrmctl.store.writer import CurveWriter
-from tests.rrmctl.standin import prepare, row
+from tests.rrmctl.running.standin import prepare, row
 
 EXPERIMENTS = Path(__file__).parents[3] / "experiments"
 PLAN = ["toy-car", "--experiments", str(EXPERIMENTS), "--profile", "smoke"]

@@ -18,7 +18,7 @@ from rrmctl.store.layout import Layout, RunFolder
 from rrmctl.store.reader import read_curve
 from rrmctl.store.schema import IDENTITY, MEASURED, SCHEMA_VERSION, VERSION_KEY, curve_schema
 from rrmctl.store.writer import CurveWriter
-from tests.rrmctl.standin import row
+from tests.rrmctl.running.standin import row
 
 WHO = {"run": "0123456789abcdef", "cell": "c", "profile": "smoke", "task": "toy-car", "method": "oracle", "seed": 3}
 PATH = Path("curve.parquet")

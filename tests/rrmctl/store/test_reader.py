@@ -30,7 +30,7 @@ from rrmctl.store.records import (
 )
 from rrmctl.store.schema import LABELS, MEASURED
 from rrmctl.store.writer import CurveWriter
-from tests.rrmctl.standin import prepare, row
+from tests.rrmctl.running.standin import prepare, row
 
 
 def job(seed: int, method: str = "pebble") -> JobRecord:

@@ -8,14 +8,15 @@ from pathlib import Path
 
 import pytest
 
-from rrm.training.config import RewardConfig, RunConfig
-from rrmctl.runfile import config_content, load_config
+from rrm.config import RewardConfig
+from rrm.training.config import RunConfig
+from rrmctl.running.runfile import config_content, load_config
+from rrmctl.running.worker import WorkerExit, main
 from rrmctl.store.atomic import is_locked, try_lock
 from rrmctl.store.layout import Layout, RunFolder
 from rrmctl.store.reader import read_curve
 from rrmctl.store.records import ErrorKind, State, Status, read_status, record_config, write_status
-from rrmctl.worker import WorkerExit, main
-from tests.rrmctl.standin import Trainer, config, prepare
+from tests.rrmctl.running.standin import Trainer, config, prepare
 
 
 @pytest.fixture
@@ -52,9 +53,11 @@ def test_a_run_from_start_to_end(folder: RunFolder, capsys: pytest.CaptureFixtur
     assert (status.state, status.attempt, status.step, status.steps, status.rows) == (State.DONE, 1, 40, 40, 4)
     assert (status.success, status.true_return) == (0.5, 40.0)
     assert not is_locked(folder.lock)
-    assert [
-        line.split(", process")[0] for line in capsys.readouterr().out.splitlines()
-    ] == ["--- attempt 1", "--- from step 0", "--- done at step 40"]
+    assert [line.split(", process")[0] for line in capsys.readouterr().out.splitlines()] == [
+        "--- attempt 1",
+        "--- from step 0",
+        "--- done at step 40",
+    ]
 
 
 def test_a_finished_run_is_left_alone(folder: RunFolder) -> None:

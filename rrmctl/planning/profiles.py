@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from rrmctl.errors import UserError
-from rrmctl.manifest import Settings, nearest, read_toml, refuse_unknown
+from rrmctl.planning.manifest import Settings, nearest, read_toml, refuse_unknown
 
 PATH = Path(__file__).with_name("profiles.toml")
 

@@ -20,11 +20,11 @@ from rrm.envs.tasks import TASKS
 from rrm.teachers import TEACHERS
 from rrm.training.config import RunConfig
 from rrmctl.errors import UserError
-from rrmctl.grid import Row
-from rrmctl.manifest import DEFAULT_FEEDBACK, Manifest, nearest
-from rrmctl.methods import Method
-from rrmctl.profiles import PAPER, Kind, Layer, profile
-from rrmctl.settings import AMOUNTS, flatten, resolve
+from rrmctl.planning.grid import Row
+from rrmctl.planning.manifest import DEFAULT_FEEDBACK, Manifest, nearest
+from rrmctl.planning.methods import Method
+from rrmctl.planning.profiles import PAPER, Kind, Layer, profile
+from rrmctl.planning.settings import AMOUNTS, flatten, resolve
 
 Flat = dict[str, Any]
 

@@ -13,8 +13,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rrmctl.child import Child
-from rrmctl.lifeline import Pipe, StopRequest, _line
+from rrmctl.running.child import Child
+from rrmctl.running.lifeline import Pipe, StopRequest, _line
 from rrmctl.store.layout import Layout
 from rrmctl.store.records import ErrorKind, RunError
 

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rrmctl.errors import Exit
-from rrmctl.scheduler import Ending, Outcome, Phase, Scheduler
+from rrmctl.running.scheduler import Ending, Outcome, Phase, Scheduler
 from rrmctl.store.records import ErrorKind, RunError
 
 DONE, STOPPED, ELSEWHERE = (Outcome(ending) for ending in (Ending.DONE, Ending.STOPPED, Ending.ELSEWHERE))

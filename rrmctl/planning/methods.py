@@ -11,8 +11,8 @@ from rrm.priors import PRIORS
 from rrm.registry import is_file_reference
 from rrm.rewards import LEARNERS
 from rrmctl.errors import UserError
-from rrmctl.manifest import MethodTable, Settings, nearest
-from rrmctl.profiles import Kind
+from rrmctl.planning.manifest import MethodTable, Settings, nearest
+from rrmctl.planning.profiles import Kind
 
 #: The learner that a residual method's name leaves out.
 BASE_LEARNER = "pebble"

@@ -17,9 +17,9 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
-from rrmctl.child import WORKER, Child
 from rrmctl.errors import Exit, UserError
-from rrmctl.scheduler import Ending, Outcome, Phase, Scheduler
+from rrmctl.running.child import WORKER, Child
+from rrmctl.running.scheduler import Ending, Outcome, Phase, Scheduler
 from rrmctl.store.atomic import StorageError
 from rrmctl.store.layout import Layout
 from rrmctl.store.reader import run_status

@@ -32,7 +32,7 @@ from rrmctl.errors import UserError
 
 if TYPE_CHECKING:
     from rrm.training.config import RunConfig
-    from rrmctl.plan import Job, Plan
+    from rrmctl.planning.plan import Job, Plan
     from rrmctl.store.layout import Layout
 
 #: (task, method, variant) -> environment steps per second, evaluation included.

@@ -1,8 +1,8 @@
 """An experiment as a TOML file: which runs there are, which figure they make, and how it is read.
 
 A manifest is a grid (tasks x methods x teachers x feedback schedules x seeds) plus what differs from the defaults. Only
-its structure is checked here; whether its settings make runs that can be run is for `rrmctl.plan` to say. The format is
-described in docs/manifests.md; every key is a field below.
+its structure is checked here; whether its settings make runs that can be run is for `rrmctl.planning.plan` to say. The
+format is described in docs/manifests.md; every key is a field below.
 """
 
 from __future__ import annotations
@@ -90,7 +90,7 @@ class MethodTable(_Frozen):
 
 
 class Manifest(_Frozen):
-    """One experiment. Numbers of settings are at the paper's scale; `rrmctl.plan` says how profiles scale them."""
+    """One experiment. Settings are at the paper's scale; `rrmctl.planning.plan` says how profiles scale them."""
 
     name: str  #: the file's stem
     path: Path  #: where it was read from

@@ -7,8 +7,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 from rrmctl.errors import UserError
-from rrmctl.manifest import Axis, Grid, Include, Manifest, Rows
-from rrmctl.profiles import Layer
+from rrmctl.planning.manifest import Axis, Grid, Include, Manifest, Rows
+from rrmctl.planning.profiles import Layer
 
 #: The axes of a grid in the order in which rows vary, the last one fastest, and what a row calls its value.
 AXES: dict[Axis, str] = {"tasks": "task", "methods": "method", "teachers": "teacher", "feedback": "feedback"}

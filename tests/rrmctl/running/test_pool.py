@@ -17,24 +17,24 @@ from pathlib import Path
 
 import pytest
 
-from rrmctl.child import worker_environment
 from rrmctl.errors import Exit
-from rrmctl.pool import Assignment, Pool
-from rrmctl.scheduler import Outcome, Phase
+from rrmctl.running.child import worker_environment
+from rrmctl.running.pool import Assignment, Pool
+from rrmctl.running.scheduler import Outcome, Phase
 from rrmctl.store import load
 from rrmctl.store.atomic import try_lock
 from rrmctl.store.layout import Layout
 from rrmctl.store.reader import log_tail, run_status
 from rrmctl.store.records import ErrorKind, State, read_status, write_status
-from tests.rrmctl.standin import COMMAND, expected, prepare
+from tests.rrmctl.running.standin import COMMAND, expected, prepare
 
 #: A parent of its own: runs the sweep in argv[1] with argv[2] workers, and leaves with the pool's code.
 PARENT = """
 import sys
 from pathlib import Path
-from tests.rrmctl.standin import COMMAND, prepare
-from tests.rrmctl.test_pool import Record
-from rrmctl.pool import Pool
+from tests.rrmctl.running.standin import COMMAND, prepare
+from tests.rrmctl.running.test_pool import Record
+from rrmctl.running.pool import Pool
 root, jobs, slots = Path(sys.argv[1]), *map(int, sys.argv[2:])
 layout, assigned = prepare(root, range(jobs))
 sys.exit(Pool(layout=layout, assignments=assigned, slots=slots, watcher=Record(), command=COMMAND).run())
@@ -122,7 +122,7 @@ def until(condition: Callable[[], bool], seconds: float = 120.0) -> None:
 def parent(root: Path, jobs: int, slots: int) -> Iterator[subprocess.Popen[bytes]]:
     """A pool in a process of its own."""
     command = [sys.executable, "-c", PARENT, str(root), str(jobs), str(slots)]
-    with subprocess.Popen(command, cwd=Path(__file__).parents[2]) as process:
+    with subprocess.Popen(command, cwd=Path(__file__).parents[3]) as process:
         try:
             yield process
         finally:

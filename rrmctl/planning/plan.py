@@ -12,13 +12,13 @@ from typing import Any
 
 from rrm.errors import RrmError
 from rrm.training.config import RunConfig
-from rrmctl.cells import check_names, check_sections, configure, feedback_label
 from rrmctl.errors import UserError
-from rrmctl.grid import AXES, Row, rows_of
-from rrmctl.manifest import Manifest, nearest
-from rrmctl.methods import Method, method, residual
-from rrmctl.profiles import profile as find_profile
-from rrmctl.settings import check_assignments, parse_assignments
+from rrmctl.planning.cells import check_names, check_sections, configure, feedback_label
+from rrmctl.planning.grid import AXES, Row, rows_of
+from rrmctl.planning.manifest import Manifest, nearest
+from rrmctl.planning.methods import Method, method, residual
+from rrmctl.planning.profiles import profile as find_profile
+from rrmctl.planning.settings import check_assignments, parse_assignments
 
 _MOST_SEEDS = 10_000
 _LARGEST_SEED = 2**32 - 1

@@ -18,12 +18,13 @@ import time
 from pathlib import Path
 from typing import Any
 
+from rrm.config import EvaluationConfig, ExplorationConfig, RewardConfig
 from rrm.errors import PriorError
-from rrm.training.config import EvaluationConfig, RewardConfig, RunConfig
+from rrm.training.config import RunConfig
 from rrm.types import EvalRow
-from rrmctl import worker
-from rrmctl.pool import Assignment
-from rrmctl.runfile import config_content
+from rrmctl.running import worker
+from rrmctl.running.pool import Assignment
+from rrmctl.running.runfile import config_content
 from rrmctl.store.layout import Layout
 from rrmctl.store.records import JobRecord, SweepRecord, record_config, record_sweep
 
@@ -34,7 +35,7 @@ STEP_S = 0.002
 def config(seed: int, steps: int = 40, every: int = 10) -> RunConfig:
     return RunConfig(
         task="toy-car", seed=seed, steps=steps, reward=RewardConfig(learner="true"),
-        evaluation=EvaluationConfig(every=every),
+        evaluation=EvaluationConfig(every=every), exploration=ExplorationConfig(seed_steps=0),
     )  # fmt: skip
 
 

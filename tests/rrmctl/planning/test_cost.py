@@ -8,9 +8,9 @@ from typing import Any
 import pytest
 
 from rrm.training.config import RunConfig
-from rrmctl import manifest
-from rrmctl.cost import estimate, measure_gemm, model_seconds, stored_rates
-from rrmctl.plan import Plan, make_plan
+from rrmctl.planning import manifest
+from rrmctl.planning.cost import estimate, measure_gemm, model_seconds, stored_rates
+from rrmctl.planning.plan import Plan, make_plan
 from rrmctl.store.layout import Layout
 from rrmctl.store.records import JobRecord, State, Status, SweepRecord, record_sweep, write_status
 

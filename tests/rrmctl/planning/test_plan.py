@@ -9,13 +9,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rrmctl import manifest
 from rrmctl.errors import UserError
-from rrmctl.plan import Job, Plan, make_plan, parse_seeds, variant
-from rrmctl.profiles import profiles
-from rrmctl.settings import known_settings
+from rrmctl.planning import manifest
+from rrmctl.planning.plan import Job, Plan, make_plan, parse_seeds, variant
+from rrmctl.planning.profiles import profiles
+from rrmctl.planning.settings import known_settings
 
-EXPERIMENTS = Path(__file__).parents[2] / "experiments"
+EXPERIMENTS = Path(__file__).parents[3] / "experiments"
 
 GRID: dict[str, Any] = {"tasks": ["toy-car"], "methods": ["oracle", "pebble"]}
 
@@ -89,7 +89,7 @@ def test_paper_budgets(task: str, steps: int, feedback: str, epochs: int) -> Non
     assert explored == [
         ("oracle", 5000, 0),
         ("pebble", 1000, 9000),
-        ("rrm-proxy", 1000, 0),
+        ("rrm-proxy", 2000 if task.endswith("walk") else 1000, 0),  # feedback waits for two episodes
         ("sac-proxy", 5000, 0),
     ]
 
@@ -344,8 +344,6 @@ def test_bad_seeds(given: Any) -> None:
         ("agent.tau = 0.5", "agent.tau", 0.5),
         ("feedback.sampler=kcenter-entropy", "feedback.sampler", "kcenter-entropy"),
         ('evaluation.success="last"', "evaluation.success", "last"),
-        ("reward.options={b=false}", "reward.options", {"b": False}),
-        ("reward.options={a=[1, 2]}", "reward.options", {"a": [1, 2]}),
     ],
 )
 def test_overrides(text: str, key: str, value: Any) -> None:

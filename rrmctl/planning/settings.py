@@ -15,8 +15,8 @@ from pydantic.fields import FieldInfo
 from rrm.errors import RrmError
 from rrm.training.config import RunConfig
 from rrmctl.errors import UserError
-from rrmctl.manifest import Settings, nearest
-from rrmctl.profiles import Layer
+from rrmctl.planning.manifest import Settings, nearest
+from rrmctl.planning.profiles import Layer
 
 #: Settings that say how long, how often and how much: the ones a profile shrinks in a manifest's numbers.
 AMOUNTS = (

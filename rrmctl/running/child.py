@@ -12,14 +12,14 @@ import time
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from rrmctl.scheduler import Ending, Outcome
+from rrmctl.running.scheduler import Ending, Outcome
+from rrmctl.running.worker import WorkerExit
 from rrmctl.store.atomic import storage_error
 from rrmctl.store.layout import Layout
 from rrmctl.store.records import ErrorKind, RunError
-from rrmctl.worker import WorkerExit
 
 #: How a worker is started. -P: files that lie around are not modules.
-WORKER = (sys.executable, "-P", "-m", "rrmctl.worker")
+WORKER = (sys.executable, "-P", "-m", "rrmctl.running.worker")
 
 #: Variables from which libraries take their number of threads when they are imported.
 _THREAD_VARIABLES = (

@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rrmctl import manifest
 from rrmctl.errors import UserError
+from rrmctl.planning import manifest
 
 GOOD = """
 title = "T"

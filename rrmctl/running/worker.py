@@ -1,6 +1,6 @@
 """The child process: takes up one run, trains it and records what happens, until it is done or told to stop.
 
-    python -m rrmctl.worker RESULTS RUN [--fresh] [--pipe FD] [--parent PID] [--asked JSON]
+    python -m rrmctl.running.worker RESULTS RUN [--fresh] [--pipe FD] [--parent PID] [--asked JSON]
 
 Nothing heavy is imported before the run's lock is held, so that losing the race for a run costs little.
 """
@@ -23,8 +23,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
 from rrmctl.errors import UserError
-from rrmctl.lifeline import Pipe, StopRequest, say
-from rrmctl.runfile import load_config
+from rrmctl.running.lifeline import Pipe, StopRequest, say
+from rrmctl.running.runfile import load_config
 from rrmctl.store import atomic, provenance
 from rrmctl.store.layout import Layout, RunFolder
 from rrmctl.store.reader import read_config
@@ -135,7 +135,9 @@ def main(argv: Sequence[str] | None = None, trainer: Trainer | None = None) -> W
 
 
 def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
-    parser = argparse.ArgumentParser(prog="python -m rrmctl.worker", description="Trains one run of a results folder.")
+    parser = argparse.ArgumentParser(
+        prog="python -m rrmctl.running.worker", description="Trains one run of a results folder."
+    )
     parser.add_argument("results", type=Path)
     parser.add_argument("run")
     parser.add_argument("--fresh", action="store_true", help="remove what the run holds first")
