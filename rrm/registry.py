@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+import ast
+import difflib
 import hashlib
 import importlib
 import importlib.util
 import sys
+import warnings
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from rrm.errors import ConfigError, UnknownNameError
+
+#: With one of these at its top level a file may have names that reading it does not show.
+_OPEN = {"*", "__getattr__"}
 
 
 def is_file_reference(name: str) -> bool:
@@ -34,6 +40,54 @@ def lookup(table: Mapping[str, str], kind: str, name: str) -> Any:
     return getattr(importlib.import_module(module), attribute)
 
 
+def check_file(name: str, kind: str) -> None:
+    """Refuse a file of the user's that cannot hold what `file.py:attribute` names. The file is read, never run.
+
+    What only running it shows (an import that fails, say) is refused by `lookup`, in the process that needs it.
+
+    Raises:
+        ConfigError: there is no such file, it is not Python (with the line), or nothing at its top level has the name.
+    """
+    path, attribute = _located(name, kind)
+    names = _top_level(_parsed(path, name, kind))
+    if attribute not in names and not names & _OPEN:
+        near = difflib.get_close_matches(attribute, sorted(names), n=1)
+        hint = f'; did you mean "{near[0]}"?' if near else ""
+        raise ConfigError(f"{kind} {name!r}: {path} defines no {attribute!r}{hint}")
+
+
+def _parsed(path: Path, name: str, kind: str) -> ast.Module:
+    try:
+        with warnings.catch_warnings(action="ignore"):  # the run itself shows them, in its log
+            tree = ast.parse(path.read_bytes())
+            compile(tree, str(path), "exec", dont_inherit=True)  # finds what the grammar alone lets pass
+    except SyntaxError as error:
+        raise ConfigError(f"{kind} {name!r}: {path}, line {error.lineno}: {error.msg}") from None
+    except (ValueError, RecursionError, MemoryError) as error:  # null bytes, nesting without end
+        raise ConfigError(f"{kind} {name!r}: {path} is not Python: {error}") from None
+    except OSError as error:
+        raise ConfigError(f"cannot read {path} (named by {name!r}): {error.strerror}") from error
+    return tree
+
+
+def _top_level(tree: ast.Module) -> set[str]:
+    """Names that the file defines, assigns or imports outside functions and classes, also under `if` and `try`."""
+    names: set[str] = set()
+    nodes: list[ast.AST] = [tree]
+    while nodes:
+        node = nodes.pop()
+        match node:
+            case ast.FunctionDef() | ast.AsyncFunctionDef() | ast.ClassDef():
+                names.add(node.name)
+                continue
+            case ast.Name(ctx=ast.Store()):
+                names.add(node.id)
+            case ast.alias():
+                names.add((node.asname or node.name).partition(".")[0])
+        nodes.extend(ast.iter_child_nodes(node))
+    return names
+
+
 def source_digest(name: str) -> str | None:
     """Sha-256 of the user's file behind `file.py:attribute`; None for a name of ours.
 
@@ -51,11 +105,17 @@ def source_digest(name: str) -> str | None:
         raise ConfigError(f"cannot read {path} (named by {name!r}): {error.strerror}") from error
 
 
-def _from_file(name: str, kind: str) -> Any:
+def _located(name: str, kind: str) -> tuple[Path, str]:
+    """File and attribute of `file.py:attribute`."""
     location, _, attribute = name.rpartition(":")
     path = Path(location)
     if not path.is_file():
-        raise ConfigError(f"{kind} {name!r}: there is no file {path}; paths are relative to where the command runs")
+        raise ConfigError(f"{kind} {name!r}: there is no file {path.absolute()}")
+    return path, attribute
+
+
+def _from_file(name: str, kind: str) -> Any:
+    path, attribute = _located(name, kind)
     unique = hashlib.sha256(str(path.resolve()).encode()).hexdigest()[:8]
     spec = importlib.util.spec_from_file_location(f"rrm_user_{path.stem}_{unique}", path)
     assert spec is not None  # a .py path always has a loader

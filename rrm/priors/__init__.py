@@ -7,13 +7,12 @@ remembered from step to step would be lost when a run is resumed.
 from __future__ import annotations
 
 from collections.abc import Callable
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rrm.envs.tasks import Task
 from rrm.errors import ConfigError, PriorError, UnknownNameError
 from rrm.priors.evaluate import evaluate_prior
-from rrm.registry import is_file_reference, lookup
+from rrm.registry import check_file, is_file_reference, lookup
 
 if TYPE_CHECKING:
     from rrm.priors.step import PriorStep
@@ -49,13 +48,13 @@ def load_prior(name: str) -> Callable[[PriorStep], float]:
 def check_prior(name: str, task: Task) -> None:
     """Refuse, before a run, a prior that is unknown or reads what the task does not reveal.
 
-    A file of the user's must exist; it is not run here but at the start of the run, in the run's own process.
+    A file of the user's must hold the prior; it is not run here but at the start of the run, in the run's own process.
 
     Raises:
         UnknownNameError, ConfigError: with what is known, or what is missing and what would do.
     """
     if is_file_reference(name):
-        _check_file(name)
+        check_file(name, "prior")
         return
     if name not in PRIORS:
         if ".py" in name:
@@ -67,12 +66,6 @@ def check_prior(name: str, task: Task) -> None:
             f'prior "{name}" reads {wanted}, which {task.name} does not reveal; it reveals: {", ".join(task.reveals)}. '
             f"Priors for {task.name}: {', '.join(known for known in sorted(PRIORS) if _suits(known, task))}"
         )
-
-
-def _check_file(name: str) -> None:
-    path = Path(name.rpartition(":")[0])
-    if not path.is_file():
-        raise ConfigError(f"prior {name!r}: there is no file {path}; paths are relative to where the command runs")
 
 
 def _needs(name: str) -> tuple[tuple[str, ...], ...]:

@@ -7,8 +7,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from rrm.config import KNOWN_REWARDS
+from rrm.errors import ConfigError
 from rrm.priors import PRIORS
-from rrm.registry import is_file_reference
+from rrm.registry import check_file, is_file_reference
 from rrm.rewards import LEARNERS
 from rrmctl.errors import UserError
 from rrmctl.planning.manifest import MethodTable, Settings, nearest
@@ -54,7 +55,7 @@ def method(name: str, own: Mapping[str, MethodTable], folder: Path, where: str) 
         where: the manifest, for messages.
 
     Raises:
-        UserError: unknown method, learner or prior (with the nearest known), or a file that is not there.
+        UserError: unknown method, learner or prior (with the nearest known), or a file that does not hold it.
     """
     section = f"{where} [method.{name}]"
     table = own.get(name, MethodTable())
@@ -80,7 +81,7 @@ def residual(prior: str, folder: Path) -> Method:
     """The residual method on one prior, as `--prior` adds it; a file's is called rrm-FUNCTION.
 
     Raises:
-        UserError: unknown prior, or no such file.
+        UserError: unknown prior, or a file that does not hold it.
     """
     name = prior.rpartition(":")[2] if is_file_reference(prior) else prior
     return Method(f"rrm-{name}", BASE_LEARNER, _named(prior, "prior", PRIORS, folder, "--prior"))
@@ -91,8 +92,10 @@ def _named(name: str, what: str, known: Mapping[str, str] | tuple[str, ...], fol
     if is_file_reference(name):
         location, _, attribute = name.rpartition(":")
         path = (folder / location).resolve()
-        if not path.is_file():
-            raise UserError(f"{where}: {what} {name!r}: there is no file {path}")
+        try:
+            check_file(f"{path}:{attribute}", what)
+        except ConfigError as error:
+            raise UserError(f"{where}: {error}") from None
         return f"{path}:{attribute}"
     if name not in known:
         raise UserError(

@@ -3,7 +3,7 @@
 import pytest
 
 from rrm.errors import ConfigError, UnknownNameError
-from rrm.registry import is_file_reference, lookup, source_digest
+from rrm.registry import check_file, is_file_reference, lookup, source_digest
 
 TABLE = {"join": "os.path:join", "sqrt": "math:sqrt"}
 
@@ -56,6 +56,47 @@ def test_a_missing_file_says_so(tmp_path):
     """A file that is not there is named."""
     with pytest.raises(ConfigError, match="there is no file"):
         lookup(TABLE, "prior", f"{tmp_path}/none.py:f")
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "def mine(x): ...",
+        "async def mine(x): ...",
+        "class mine: ...",
+        "other, (mine, *rest) = 1, (2, 3)",
+        "mine: object = 1",
+        "from math import sqrt as mine",
+        "import mine.inner",
+        "from math import *",
+        "def __getattr__(name): return 1",
+        "try:\n    import x\nexcept ImportError:\n    def mine(x): ...",
+        "if (mine := 1): ...",
+        "mine = '\\d'",
+    ],
+)
+def test_a_file_that_can_hold_the_name_is_let_through(tmp_path, text):
+    """Defined, assigned, imported, or impossible to say without running the file."""
+    (tmp_path / "own.py").write_text(text)
+    check_file(f"{tmp_path}/own.py:mine", "prior")
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("def mien(x): ...", r"defines no 'mine'; did you mean \"mien\"\?"),
+        ("def f():\n    mine = 1", "defines no 'mine'$"),
+        ("class C:\n    def mine(self): ...", "defines no 'mine'$"),
+        ("x = 1\ndef mine(x:\n", "own.py, line 2: "),
+        ("x = 1\nreturn 3", "own.py, line 2: 'return' outside function"),
+        ("x = '\0'", "own.py"),
+    ],
+)
+def test_a_file_that_cannot_hold_the_name_is_refused_unrun(tmp_path, text, said):
+    """A name that is not there, with the nearest, and what is not Python, with the line."""
+    (tmp_path / "own.py").write_text(text)
+    with pytest.raises(ConfigError, match=said):
+        check_file(f"{tmp_path}/own.py:mine", "prior")
 
 
 def test_the_digest_follows_the_content(tmp_path):

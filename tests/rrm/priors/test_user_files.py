@@ -47,13 +47,13 @@ def test_everything_a_prior_may_see(own, toy_step):
 
 def test_missing_file(tmp_path):
     """Planning refuses a file that is not there, and says where it looked."""
-    with pytest.raises(ConfigError, match=r"there is no file .*nowhere\.py; paths are relative to"):
+    with pytest.raises(ConfigError, match=r"there is no file /.*nowhere\.py$"):
         check_prior(f"{tmp_path}/nowhere.py:prior", TOY)
 
 
 def test_planning_does_not_run_the_file(own):
     """A file that would raise on import passes the check and is refused at the start of the run."""
-    name = own("raise RuntimeError('on import')")
+    name = own("raise RuntimeError('on import')\ndef prior(step): ...")
     check_prior(name, TOY)
     with pytest.raises(ConfigError, match=r"mine\.py does not import: RuntimeError: on import"):
         load_prior(name)
@@ -63,6 +63,12 @@ def test_missing_function(own):
     """The message names the file and the function."""
     with pytest.raises(ConfigError, match=r"mine\.py defines no 'prior'"):
         load_prior(own("def other(step): return 0"))
+
+
+def test_planning_misses_the_function_too(own):
+    """What the file plainly does not define is refused before the run, with what was perhaps meant."""
+    with pytest.raises(ConfigError, match=r"mine\.py defines no 'prior'; did you mean \"prio\"\?"):
+        check_prior(own("def prio(step): return 0"), TOY)
 
 
 def test_file_without_a_function():
