@@ -26,7 +26,7 @@ from rrm.config import (
 from rrm.envs.tasks import TASKS, Task, task
 from rrm.errors import ConfigError, UnknownNameError
 from rrm.priors import check_prior
-from rrm.registry import is_file_reference, source_digest
+from rrm.registry import check_file, is_file_reference, source_digest
 from rrm.rewards import LEARNERS
 
 _S = TypeVar("_S", bound=Section)
@@ -59,6 +59,8 @@ class RunConfig(Section):
             raise ConfigError(f"horizon: {self.horizon} steps is longer than {self.task}'s episode of {spec.horizon}")
         if self.reward.learner not in (*LEARNERS, *KNOWN_REWARDS) and not is_file_reference(self.reward.learner):
             raise UnknownNameError("learner", self.reward.learner, (*LEARNERS, *KNOWN_REWARDS))
+        if is_file_reference(self.reward.learner):
+            check_file(self.reward.learner, "learner")
         if self.reward.prior is not None:
             check_prior(self.reward.prior, spec)
         elif self.reward.learner == "prior":
@@ -175,15 +177,23 @@ class RunConfig(Section):
 
     def sessions(self) -> int:
         """Feedback sessions that fit into the run at its budget; 0 where nothing is learned."""
+        return len(self._session_sizes())
+
+    def queries(self) -> int:
+        """Queries that are put in all sessions together: the budget, or fewer where the run ends before it is spent."""
+        return sum(self._session_sizes())
+
+    def _session_sizes(self) -> list[int]:
+        sizes: list[int] = []
         if not self.reward.is_learned or self.feedback is None:
-            return 0
-        sessions = asked = 0
+            return sizes
+        asked = 0
         for step in range(self.first_session, self.steps, self.feedback.every):
             if asked >= self.feedback.budget:
                 break
-            asked += self.feedback.session_size(step, self.steps, asked)
-            sessions += 1
-        return sessions
+            sizes.append(self.feedback.session_size(step, self.steps, asked))
+            asked += sizes[-1]
+        return sizes
 
 
 def _defaulted(section: _S, field: str) -> _S:

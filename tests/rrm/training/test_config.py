@@ -163,3 +163,4 @@ def test_sessions_are_those_the_loop_holds(steps, every, batch, budget):
         asked += min(batch, budget - asked)
         sessions += 1
     assert config.sessions() == sessions
+    assert config.queries() == asked
