@@ -26,6 +26,7 @@ import sys
 from collections import defaultdict
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from functools import cache
 from typing import TYPE_CHECKING
 
 from rrmctl.errors import UserError
@@ -52,12 +53,12 @@ _SLACK = 1.2  # elementwise work beside the products
 _PROBE = """
 import time, numpy as np
 a, b = np.ones((256, 256), np.float32), np.ones((256, 256), np.float32)
-best, end = 1.0, time.perf_counter() + 0.03
-while time.perf_counter() < end:
-    start = time.perf_counter()
+spent = []
+while len(spent) < 20 or sum(spent) < 0.03:
+    start = time.process_time()
     a @ b
-    best = min(best, time.perf_counter() - start)
-print(2 * 256**3 / best)
+    spent.append(time.process_time() - start)
+print(2 * 256**3 / min(filter(None, spent)))
 """
 
 
@@ -124,8 +125,12 @@ def stored_rates(layout: Layout) -> dict[tuple[str, str, str], float]:
     return {key: statistics.median(values) for key, values in speeds.items() if statistics.median(values) > 0}
 
 
+@cache
 def measure_gemm() -> float:
     """Floating-point operations per second of one core in matrix products, measured for 30 ms in a process of its own.
+
+    The best of at least twenty products counts, in the time that the core spent on it: what else runs on a busy machine
+    does not. It is measured once; all estimates of a command go by the same speed.
 
     Raises:
         UserError: numpy does not work here.

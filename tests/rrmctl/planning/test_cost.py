@@ -125,3 +125,8 @@ def test_empty_store(tmp_path: Path) -> None:
 def test_this_core_multiplies() -> None:
     """The measurement gives a rate that a processor can have."""
     assert 1e8 < measure_gemm() < 1e14
+
+
+def test_one_command_goes_by_one_speed() -> None:
+    """The speed of the core is measured once, and every estimate takes the same."""
+    assert measure_gemm() is measure_gemm()
