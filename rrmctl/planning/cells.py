@@ -23,8 +23,8 @@ from rrmctl.errors import UserError
 from rrmctl.planning.grid import Row
 from rrmctl.planning.manifest import DEFAULT_FEEDBACK, Manifest, nearest
 from rrmctl.planning.methods import Method
-from rrmctl.planning.profiles import PAPER, Kind, Layer, profile
-from rrmctl.planning.settings import AMOUNTS, flatten, resolve
+from rrmctl.planning.profiles import PAPER, Kind, Layer, profile, profiles
+from rrmctl.planning.settings import AMOUNTS, Checked, flatten, resolve
 
 Flat = dict[str, Any]
 
@@ -63,10 +63,10 @@ def configure(manifest: Manifest, row: Row, method: Method, scale: str, override
     if method.prior is not None:
         decided["reward.prior"] = method.prior
     ratios = _ratios(scale, row.task, method.kind)
-    layers = [(layer.where, settings) for layer, settings in _profile_settings(scale, row.task, method.kind)]
-    layers += [(layer.where, _scaled(flatten(layer), ratios)) for layer in _manifest_layers(manifest, row, method)]
-    layers += [(layer.where, flatten(layer)) for layer in [_section(manifest, "profile", manifest.profiles, scale)]]
-    layers += [("--set", overrides)]
+    layers = [Checked(layer.where, settings) for layer, settings in _profile_settings(scale, row.task, method.kind)]
+    layers += [_scaled(layer, ratios, scale) for layer in _manifest_layers(manifest, row, method)]
+    own = _section(manifest, "profile", manifest.profiles, scale)
+    layers += [Checked(own.where, flatten(own)), Checked("--set", overrides)]
     return resolve(layers, f"{manifest.path}: {row.task}, {row.method}", **decided)
 
 
@@ -90,8 +90,13 @@ def check_sections(manifest: Manifest) -> None:
     sections += [_schedule(manifest, name) for name in manifest.feedback]
     for section in sections:
         flatten(section)
+    known = profiles()
     for name in manifest.profiles:
-        profile(name)
+        if name not in known:
+            raise UserError(
+                f"{manifest.path} [profile.{name}]: no profile has this name{nearest(name, known)}",
+                f"known: {', '.join(known)}",
+            )
 
 
 def _manifest_layers(manifest: Manifest, row: Row, method: Method) -> Iterator[Layer]:
@@ -144,8 +149,12 @@ def _amounts(scale: str, task: str, kind: Kind) -> dict[str, int]:
     return {name: values[name] for name in AMOUNTS}
 
 
-def _scaled(settings: Flat, ratios: Mapping[str, tuple[int, int]]) -> Flat:
-    return {name: _shrunk(value, *ratios[name]) if name in ratios else value for name, value in settings.items()}
+def _scaled(layer: Layer, ratios: Mapping[str, tuple[int, int]], scale: str) -> Checked:
+    written = flatten(layer)
+    shrunk = {name: _shrunk(value, *ratios[name]) if name in ratios else value for name, value in written.items()}
+    changed = {name: f"{written[name]!r}, {shrunk[name]!r} in profile {scale},"
+               for name in shrunk if shrunk[name] != written[name]}  # fmt: skip
+    return Checked(layer.where, shrunk, changed)
 
 
 def _shrunk(value: int, ours: int, paper: int) -> int:

@@ -171,7 +171,7 @@ def parse(table: Mapping[str, Any], path: Path) -> Manifest:
     try:
         return Manifest(name=path.stem, path=path, **fields)
     except ValidationError as error:
-        raise UserError(_explain(error, path)) from None
+        raise UserError(_explain(error, path, table.get("seeds"))) from None
 
 
 def _check_grid(grid: Any, where: str) -> None:
@@ -199,12 +199,15 @@ def _split_method(entry: Any) -> Any:
 _SPELLED = {field: key for key, field in _SECTIONS.items()}
 
 
-def _explain(error: ValidationError, path: Path) -> str:
+def _explain(error: ValidationError, path: Path, seeds: Any) -> str:
     """What pydantic found, in one line per mistake: file, key, what is wrong, what was given."""
     lines = []
     mistakes = error.errors(include_url=False)
     inside = {found["loc"][:depth] for found in mistakes for depth in range(len(found["loc"]))}
     for found in [found for found in mistakes if found["loc"] not in inside][:5]:  # the innermost say it all
+        if found["loc"][0] == "seeds":  # one line for the number and the list that were tried
+            lines.append(f"{path}: seeds: expected a number or a list of integers; got {seeds!r}")
+            continue
         key = _key([str(part) for part in found["loc"]])
         if found["type"] == "missing":
             lines.append(f"{path}: {key} is missing")
@@ -232,12 +235,14 @@ def find(name: str, folder: Path) -> Path:
     Raises:
         UserError: there is none; the message suggests the nearest, or says where manifests are looked for.
     """
-    if name.endswith(".toml"):
+    if name.endswith(".toml") and not Path(name).is_dir():
         if not Path(name).is_file():
             raise UserError(f"there is no file {name}")
         return Path(name)
     names = {path.stem: path for path in available(folder)}
     if name not in names:
+        if Path(name).is_dir():
+            raise UserError(f"{name} is a folder", "name an experiment of `rrmctl list`, or one manifest (*.toml)")
         raise UserError(f'no experiment "{name}" in {folder}{nearest(name, names)}', f"known: {', '.join(names)}")
     return names[name]
 

@@ -82,7 +82,7 @@ def make_plan(
     rows = _only(rows, "task", tasks, manifest)
     added = _added(priors, known)
     beside = [replace(row, method=name) for row in rows for name in added]
-    rows = list(dict.fromkeys([*_only(rows, "method", methods, manifest), *beside]))
+    rows = list(dict.fromkeys([*_only(rows, "method", methods, manifest, added), *beside]))
     cells = [_cell(manifest, row, (known | added)[row.method], scale, settings) for row in rows]
     _refuse_ambiguous(cells, manifest)
     jobs: dict[str, Job] = {}
@@ -146,11 +146,13 @@ def _check(manifest: Manifest, rows: list[Row]) -> None:
     check_sections(manifest)
 
 
-def _only(rows: list[Row], axis: str, wanted: Sequence[str] | None, manifest: Manifest) -> list[Row]:
-    """The rows of the wanted names; None wants all."""
+def _only(
+    rows: list[Row], axis: str, wanted: Sequence[str] | None, manifest: Manifest, beside: Iterable[str] = ()
+) -> list[Row]:
+    """The rows of the wanted names; None wants all. Names `beside` those of the rows may be wanted too."""
     if wanted is None:
         return rows
-    there = {getattr(row, axis) for row in rows}
+    there = {*(getattr(row, axis) for row in rows), *beside}
     if not wanted:
         raise UserError(f"--{axis}s names nothing", f"{manifest.name} has: {', '.join(sorted(there))}")
     for name in wanted:

@@ -6,6 +6,7 @@ import json
 import tomllib
 import types
 from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
 from functools import cache
 from typing import Annotated, Any, Union, get_args, get_origin
 
@@ -52,13 +53,19 @@ def _fields() -> dict[str, TypeAdapter[Any]]:
     return dict(_leaves(RunConfig, ""))
 
 
+@cache
+def _sections() -> dict[str, str]:
+    """Sections of `RunConfig`, each with the first setting in it that a layer may set."""
+    return {name.rpartition(".")[0]: name for name in reversed(known_settings()) if "." in name}
+
+
 def _leaves(model: type[BaseModel], prefix: str) -> Iterator[tuple[str, TypeAdapter[Any]]]:
-    for name, field in model.model_fields.items():
-        inner = _section(field)
+    for name, described in model.model_fields.items():
+        inner = _section(described)
         if inner is not None:
             yield from _leaves(inner, f"{prefix}{name}.")
         else:
-            checked: Any = Annotated[field.annotation, field]  # the type with its bounds
+            checked: Any = Annotated[described.annotation, described]  # the type with its bounds
             yield f"{prefix}{name}", TypeAdapter(checked)
 
 
@@ -79,12 +86,11 @@ def flatten(layer: Layer) -> dict[str, Any]:
 
 
 def _walk(tree: Any, prefix: str, where: str) -> Iterator[tuple[str, Any]]:
-    sections = {name.rpartition(".")[0] for name in _fields()}
     if not isinstance(tree, dict):
         raise UserError(f"{where}: {prefix.rstrip('.') or 'the section'} must be a table, got {tree!r}")
     for key, value in tree.items():
         name = f"{prefix}{key}"
-        if name in sections:
+        if name in _sections():
             yield from _walk(value, f"{name}.", where)
         elif name in _fields():
             yield name, value
@@ -121,13 +127,22 @@ def _checked(name: str, value: Any, where: str) -> Any:
     return checked
 
 
-def resolve(flat: Iterable[tuple[str, Mapping[str, Any]]], cell: str, **decided: Any) -> RunConfig:
+@dataclass(frozen=True)
+class Checked:
+    """A layer whose settings are checked."""
+
+    where: str
+    settings: Mapping[str, Any]  #: by dotted name
+    written: Mapping[str, str] = field(default_factory=dict)  #: for messages: settings that are written otherwise
+
+
+def resolve(layers: Iterable[Checked], cell: str, **decided: Any) -> RunConfig:
     """One configuration out of checked layers, later ones winning.
 
     Args:
-        flat: (where, settings by dotted name) of each layer, widest first.
+        layers: widest first.
         cell: what is being configured, for messages: file, task and method.
-        decided: settings by dotted name (dots as in `flat`) that no layer may change.
+        decided: settings by dotted name that no layer may change.
 
     Raises:
         UserError: the settings do not go together (a segment longer than an episode, feedback after the end); the
@@ -135,9 +150,12 @@ def resolve(flat: Iterable[tuple[str, Mapping[str, Any]]], cell: str, **decided:
     """
     values: dict[str, Any] = {}
     origin: dict[str, str] = {}
-    for where, settings in flat:
-        values |= settings
-        origin |= dict.fromkeys(settings, where)
+    for layer in layers:
+        values |= layer.settings
+        origin |= {
+            name: f"{name} = {layer.written.get(name, repr(value))} is set in {layer.where}"
+            for name, value in layer.settings.items()
+        }
     if "steps" not in values:
         raise UserError(
             f"{cell}: no profile says how many steps this task takes", "set steps in the manifest's [defaults]"
@@ -149,8 +167,7 @@ def resolve(flat: Iterable[tuple[str, Mapping[str, Any]]], cell: str, **decided:
         reason = found.get("ctx", {}).get("error")
         message = str(reason) if isinstance(reason, RrmError) else f"{'.'.join(map(str, found['loc']))}: {found['msg']}"
     key = message.partition(":")[0]
-    source = f"{key} = {values[key]!r} is set in {origin[key]}" if key in origin else None
-    raise UserError(f"{cell}: {message}", source)
+    raise UserError(f"{cell}: {message}", origin.get(key))
 
 
 def nested(flat: Mapping[str, Any]) -> Settings:
@@ -182,7 +199,14 @@ def parse_assignments(assignments: Iterable[str]) -> dict[str, Any]:
 
 def check_assignments(settings: Mapping[str, Any]) -> dict[str, Any]:
     """Overrides by dotted name, each checked. Raises `UserError` as `parse_assignments` does."""
-    for name in settings:
+    for name, value in settings.items():
+        if name in _sections():
+            inside = value if isinstance(value, dict) else ()
+            named = [f"{name}.{key}" for key in inside if f"{name}.{key}" in _fields()]
+            example = next(iter(named), _sections()[name])
+            raise UserError(
+                f"--set {name}: {name} is a section; write {example}=...", "one --set for each setting in it"
+            )
         if name not in _fields():
             raise UserError(
                 f'--set {name}: unknown setting "{name}"{suggestion(name)}', "rrmctl plan --help shows examples"

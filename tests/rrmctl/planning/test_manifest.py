@@ -81,8 +81,10 @@ def test_several_grids(tmp_path: Path) -> None:
         ('["toy-car"]', '["toy-car", "toy-car"]', "[grid] tasks: named twice: toy-car"),
         ('title = "T"', "title = 5", "title: Input should be a valid string; got 5"),
         ('title = "T"', "", "title is missing"),
-        ("seeds = 3", "seeds = 1.5", "seeds: "),
-        ("seeds = 3", "seeds = true", "seeds: "),
+        ("seeds = 3", "seeds = 2.5", "seeds: expected a number or a list of integers; got 2.5"),
+        ("seeds = 3", "seeds = true", "seeds: expected a number or a list of integers; got True"),
+        ("seeds = 3", 'seeds = "3"', "seeds: expected a number or a list of integers; got '3'"),
+        ("seeds = 3", "seeds = [1, 0.5]", "seeds: expected a number or a list of integers; got [1, 0.5]"),
         ('["Fig. 1"]', "[]", "reproduces is empty"),
         ("seeds = 3", "seeds = ", "not valid TOML"),
         ("[grid]", "[gird]", 'unknown key "gird"; did you mean "grid"?'),
@@ -135,6 +137,10 @@ def test_find(tmp_path: Path) -> None:
         manifest.find("main-result", tmp_path)
     with pytest.raises(UserError, match="no file"):
         manifest.find("absent.toml", tmp_path)
+    (tmp_path / "inner.toml").mkdir()
+    for folder in (tmp_path, tmp_path / "inner.toml"):
+        with pytest.raises(UserError, match="is a folder"):
+            manifest.find(str(folder), tmp_path)
 
 
 def test_no_experiments(tmp_path: Path) -> None:

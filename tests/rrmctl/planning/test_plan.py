@@ -237,7 +237,7 @@ def test_users_files(tmp_path: Path) -> None:
         ids.append(plan.jobs[0].id)
     assert ids[0] == ids[1] != ids[2]
     error = refused(manifest.parse(table, tmp_path / "m.toml"))
-    assert "m.toml [method.mine]: prior 'p.py:f': there is no file" in str(error)
+    assert f"m.toml [method.mine]: prior '{tmp_path}/p.py:f': there is no file" in str(error)
 
 
 def test_prior_option(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -251,6 +251,24 @@ def test_prior_option(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert "rrm-zero already stands for" in str(refused(made(), priors=["zero", "mine.py:zero"]))
     assert 'did you mean "zero"' in str(refused(made(), priors=["zer"]))
     assert "no file" in str(refused(made(), priors=["absent.py:f"]))
+    assert "mine.py defines no 'zer'; did you mean" in str(refused(made(), priors=["mine.py:zer"]))
+
+
+def test_methods_may_name_what_prior_adds() -> None:
+    """--methods picks among the manifest's methods and those of --prior; an unknown one is refused as ever."""
+    for methods, expected in ((["rrm-zero"], ["rrm-zero"]), (["pebble", "rrm-zero"], ["pebble", "rrm-zero"])):
+        plan = make_plan(made(), methods=methods, seeds="1", priors=["zero"])
+        assert [job.method for job in plan.jobs] == expected
+    assert 'did you mean "rrm-zero"?' in str(refused(made(), methods=["rrm-zro"], priors=["zero"]))
+
+
+def test_a_learner_that_its_file_lacks(tmp_path: Path) -> None:
+    """A learner is looked for in its file as a prior is, with the section that names it."""
+    (tmp_path / "own.py").write_text("class Lerner: ...")
+    grid = {"tasks": ["toy-car"], "methods": ["mine"]}
+    error = refused(made(grid, method={"mine": {"learner": f"{tmp_path}/own.py:Learner"}}))
+    assert "mine.toml [method.mine]: learner" in str(error)
+    assert "own.py defines no 'Learner'; did you mean \"Lerner\"?" in str(error)
 
 
 def test_filters() -> None:
@@ -271,7 +289,7 @@ def test_filters() -> None:
         ({"grid": {**GRID, "feedback": ["rare"]}}, 'unknown feedback schedule "rare"'),
         ({"task": {"toy-cat": {}}}, "[task.toy-cat]: the grid has no task of this name; did you mean"),
         ({"method": {"rrm-zero": {}}}, "[method.rrm-zero]: the grid has no method"),
-        ({"profile": {"smok": {}}}, 'unknown profile "smok"; did you mean "smoke"?'),
+        ({"profile": {"smok": {}}}, 'mine.toml [profile.smok]: no profile has this name; did you mean "smoke"?'),
         ({"default_profile": "papper"}, 'unknown profile "papper"; did you mean "paper"?'),
         ({"defaults": {"stps": 5}}, '[defaults]: unknown key "stps"; did you mean "steps"?'),
         ({"defaults": {"batch": 5}}, '[defaults]: unknown key "batch"; did you mean "agent.batch"?'),
@@ -310,6 +328,14 @@ def test_budgets_that_cannot_be_met(settings: dict[str, Any], said: str, source:
     assert said in str(error)
     assert "toy-car, " in str(error)
     assert source in str(error.hint)
+
+
+def test_scaled_culprits_show_both_numbers() -> None:
+    """An amount that a profile shrank is named as it is written and as it became."""
+    error = refused(made(defaults={"feedback": {"segment": 100_000}}), profile="smoke")
+    became = str(error).partition("feedback.segment: ")[2].split()[0]
+    assert became != "100000"
+    assert str(error.hint) == (f"feedback.segment = 100000, {became} in profile smoke, is set in mine.toml [defaults]")
 
 
 def test_features_a_prior_needs() -> None:
@@ -361,7 +387,8 @@ def test_overrides(text: str, key: str, value: Any) -> None:
         ("agent.batch=[", "not a TOML value"),
         ("agent.batch=1\nsteps=2", "not a TOML value"),
         ("agent.batch=1.5", "agent.batch = 1.5"),
-        ("agent=3", "unknown setting"),
+        ("agent=3", "agent is a section; write agent.hidden=..."),
+        ("agent={batch=3}", "agent is a section; write agent.batch=..."),
         ("profile=paper", "--profile"),
         ("reward.prior=zero", "--prior"),
         ("feedback.sampler=best", "feedback.sampler = 'best'"),
