@@ -98,6 +98,7 @@ def plan(
       rrmctl plan toy-car --prior my_priors.py:closer
     """
     from rrmctl.machine import usable_cores
+    from rrmctl.planning.notes import notes
     from rrmctl.store.layout import Layout
 
     request = Request(name, experiments, profile, seeds, tasks, methods, overrides, prior)
@@ -117,6 +118,8 @@ def plan(
     console.print(
         f"\n{len(planned.jobs)} jobs{f', {there}' if there else ', none run yet'}. {in_words(expected, usable_cores())}"
     )
+    for line in notes(planned, usable_cores()):
+        console.print(f"  note: {line}")
     if expected.hours_left > 0:
         for line in smaller(request, planned):
             console.print(f"  smaller: {line}")

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rrmctl.cli.options import DEFAULT_EXPERIMENTS, split_names
+from rrmctl.errors import UserError
 
 if TYPE_CHECKING:
     from rrmctl.planning.cost import Estimate
@@ -112,7 +113,11 @@ def smaller(request: Request, plan: Plan) -> list[str]:
     for name, scale in profiles().items():
         if name == plan.profile:
             continue
-        hours = estimate(replace(request, profile=name).plan(), {}, gemm).core_hours()
+        try:
+            other = replace(request, profile=name).plan()
+        except UserError:  # a profile that cannot hold the request is no advice
+            continue
+        hours = estimate(other, {}, gemm).core_hours()
         if hours < bound / 2:  # a profile that saves little is no advice
             lines.append(f"--profile {name}: about {duration(hours)} of one core; {scale.about}")
             bound = hours

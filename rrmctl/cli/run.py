@@ -144,12 +144,17 @@ def _from_nothing(expected: Forecast) -> Forecast:
 
 
 def _introduce(console: Console, request: Request, expected: Forecast, slots: int) -> None:
+    from rrmctl.machine import usable_cores
+    from rrmctl.planning.notes import notes
+
     plan = expected.plan
     done, failed = expected.count("done"), expected.count("failed")
     there = f", {done} done already" if done else ""
     there += f", {failed} failed" if failed else ""
     console.print(f"{plan.experiment} ({plan.variant}): {len(plan.jobs)} runs{there}.", style="bold", soft_wrap=True)
     console.print(in_words(expected, slots), soft_wrap=True)
+    for line in notes(plan, usable_cores()):
+        console.print(f"  note: {line}", soft_wrap=True)
     if expected.hours_left > _LARGE_H:
         for line in smaller(request, plan):
             console.print(f"  smaller: {line}", soft_wrap=True)

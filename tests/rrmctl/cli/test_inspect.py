@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import pytest
@@ -93,6 +94,25 @@ def test_plan_at_smoke_offers_nothing_smaller() -> None:
     text = call("plan", "toy-car", "--profile", "smoke").stdout
     assert "--profile" not in text
     assert "a part of it" in text
+
+
+def test_profiles_that_cannot_hold_the_request_are_no_advice() -> None:
+    """A plan that only its own profile can hold is shown without a word on the others."""
+    result = call("plan", "toy-car", "--profile", "smoke", "--set", "steps=450")
+    assert result.exit_code == 0
+    assert "jobs, none run yet" in result.stdout
+    assert "--profile" not in result.stdout
+
+
+def test_plan_says_what_will_not_be_asked_and_what_will_not_fit() -> None:
+    """A budget that the run is too short for and threads that the machine lacks are notes beside the plan."""
+    asked = ("--profile", "smoke", "--seeds", "2", "--set", "feedback.budget=1000000", "--set", "threads=4000")
+    text = call("plan", "toy-car", *asked).stdout
+    notes = [line.strip() for line in text.splitlines() if "note:" in line]
+    for note, method in zip(notes, ("pebble", "rrm-sparse"), strict=False):
+        assert re.fullmatch(rf"note: \d+ of 1,000,000 questions fit into 600 steps: toy-car {method}", note)
+    assert re.fullmatch(r"note: threads: 4000 for each run, on \d+ cores?", notes[2])
+    assert "note:" not in call("plan", "toy-car", "--profile", "smoke").stdout
 
 
 @pytest.mark.parametrize(("state", "code"), [("ok", 0), ("note", 0), ("missing", 1)])

@@ -16,8 +16,9 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner, Result
 
+from rrmctl.cli import run as run_command
 from rrmctl.cli.app import app
-from rrmctl.cli.request import Request
+from rrmctl.cli.request import Request, forecast
 from rrmctl.store import load, planned
 from rrmctl.store.atomic import try_lock
 from rrmctl.store.layout import Layout
@@ -56,6 +57,21 @@ def test_a_sweep_that_is_done_is_not_run_again(tmp_path: Path) -> None:
     assert "2 runs, 2 done already" in result.stderr
     assert f"rrmctl report iqm toy-car --results {tmp_path}" in result.stdout
     assert sorted(path.name for path in Layout(tmp_path).run(ids[0]).path.iterdir()) == ["config.json", "status.json"]
+
+
+def test_the_introduction_bears_profiles_that_cannot_hold_the_request(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """`run` advises on a large sweep without stumbling over other profiles, and notes a budget too large to spend."""
+    monkeypatch.setattr(run_command, "_LARGE_H", 0.0)
+    request = Request("toy-car", EXPERIMENTS, "smoke", overrides=["steps=450", "feedback.budget=1000000"])
+    run_command._introduce(
+        run_command._progress_console(), request, forecast(request.plan(), Layout(tmp_path)), slots=1
+    )
+    said = capsys.readouterr().err
+    assert "of 1,000,000 questions fit into 450 steps: toy-car pebble" in said
+    assert "smaller: a part of it" in said
+    assert "--profile" not in said
 
 
 def test_asking_for_more_seeds_adds_to_the_record(tmp_path: Path) -> None:
