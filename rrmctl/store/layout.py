@@ -10,12 +10,15 @@ runs/<id>/checkpoint/         the trainer's own, gone when the run is done
 runs/<id>/model.safetensors   the final networks
 sweeps/<experiment>/<variant>.json   what `run` was asked for
 aggregates/<experiment>.parquet      interquartile mean curves
+
+Whatever else lies in these folders (a copy, a note, a system's own files) is nobody's run or sweep and is not looked at.
 """
 
 from __future__ import annotations
 
 import os
 import re
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -23,6 +26,9 @@ from rrmctl.errors import UserError
 
 #: Names that become a file's: no separators, nothing hidden, no way out of the results root.
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,127}")
+
+#: What a run's identity looks like.
+RUN_ID = re.compile(r"[0-9a-f]{16}")
 
 
 @dataclass(frozen=True)
@@ -92,8 +98,8 @@ class Layout:
         return RunFolder(self.root / "runs" / _checked("run", run))
 
     def run_ids(self) -> list[str]:
-        """Ids of all run folders, sorted."""
-        return _names(self.root / "runs")
+        """Ids of all run folders, sorted. What is not a folder named by sixteen hexadecimal digits is ignored."""
+        return _names(self.root / "runs", lambda entry: bool(RUN_ID.fullmatch(entry.name)) and entry.is_dir())
 
     def sweep(self, experiment: str, variant: str) -> Path:
         """The record of one variant of an experiment."""
@@ -104,12 +110,15 @@ class Layout:
         return self._sweeps(experiment) / ".lock"
 
     def sweep_files(self, experiment: str) -> list[Path]:
-        """The records of all variants of an experiment, sorted; none where it never ran here."""
-        return [self._sweeps(experiment) / name for name in _names(self._sweeps(experiment)) if name.endswith(".json")]
+        """The records of all variants of an experiment, sorted; none where it never ran here. Others are ignored."""
+        folder = self._sweeps(experiment)
+        return [
+            folder / name for name in _names(folder, lambda entry: entry.name.endswith(".json") and entry.is_file())
+        ]
 
     def experiments(self) -> list[str]:
-        """Experiments with a sweep record, sorted."""
-        return _names(self.root / "sweeps")
+        """Experiments with a sweep record, sorted. What is not a folder with an experiment's name is ignored."""
+        return _names(self.root / "sweeps", lambda entry: entry.is_dir())
 
     def aggregate(self, experiment: str) -> Path:
         """The interquartile mean curves of an experiment."""
@@ -119,10 +128,10 @@ class Layout:
         return self.root / "sweeps" / _checked("experiment", experiment)
 
 
-def _names(folder: Path) -> list[str]:
+def _names(folder: Path, wanted: Callable[[os.DirEntry[str]], bool]) -> list[str]:
     try:
         with os.scandir(folder) as entries:
-            return sorted(entry.name for entry in entries if not entry.name.startswith("."))
+            return sorted(entry.name for entry in entries if _NAME.fullmatch(entry.name) and wanted(entry))
     except (FileNotFoundError, NotADirectoryError):
         return []
 

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rrmctl.errors import UserError
+from rrmctl.store import shape
 from rrmctl.store.atomic import DamagedError, is_locked, read_json
 from rrmctl.store.curve import decode
 from rrmctl.store.layout import Layout, RunFolder
@@ -46,12 +47,22 @@ def read_config(folder: RunFolder) -> dict[str, Any]:
     """The run's `config.json`.
 
     Raises:
-        UserError: there is none, or it is damaged.
+        DamagedError: it cannot be read, or lacks what every configuration has.
+        UserError: there is none.
     """
     config = read_json(folder.config)
     if config is None:
-        raise UserError(f"{folder.config} is missing", "run its experiment again: `rrmctl run NAME` writes it anew")
+        raise UserError(f"{folder.config} is missing", _CONFIG_HINT)
+    shape.check(config, _CONFIG, folder.config, _CONFIG_HINT)
     return config
+
+
+_CONFIG_HINT = "run its experiment again: `rrmctl run NAME` writes it anew"
+
+#: What the program itself reads; the rest is checked when the run starts.
+_CONFIG = dict.fromkeys(("id", "cell", "profile", "task", "method", "precision"), shape.TEXT) | dict.fromkeys(
+    ("config_version", "seed", "steps", "threads"), shape.WHOLE
+)
 
 
 def log_tail(folder: RunFolder, lines: int = 15) -> list[str]:
@@ -68,7 +79,7 @@ def read_curve(folder: RunFolder) -> pa.Table | None:
     """The run's curve as an arrow table; None before its first evaluation.
 
     Raises:
-        DamagedError: the file is not an intact curve of this schema version.
+        DamagedError: the file is not an intact curve of this schema version, or is another run's.
     """
     path = folder.curve
     try:
@@ -78,7 +89,28 @@ def read_curve(folder: RunFolder) -> pa.Table | None:
         return None
     except OSError as error:
         raise DamagedError(f"{path} cannot be read: {error.strerror}", "check its permissions") from error
-    return decode(data, path)
+    table = decode(data, path)
+    others = set(table["run"].unique().to_pylist()) - {folder.id}
+    if others:
+        raise DamagedError(
+            f"{path} is the curve of run {', '.join(sorted(others))}, not of {folder.id}",
+            "bring back its own, or train the run again with --force",
+        )
+    return table
+
+
+def lost_rows(folder: RunFolder, status: Status) -> str | None:
+    """What is wrong with the curve of a run that is done, in words; None when every evaluation is there."""
+    try:
+        table = read_curve(folder)
+    except DamagedError as error:
+        return str(error)
+    rows = 0 if table is None else table.num_rows
+    if rows >= status.rows:
+        return None
+    if table is None:
+        return f"{folder.curve} is missing, with {status.rows} evaluations"
+    return f"{folder.curve} holds {rows} evaluations, {status.rows} had been written"
 
 
 def load(results: str | Path = "results", experiment: str | None = None) -> pd.DataFrame:
@@ -138,9 +170,21 @@ def open_results(results: str | Path) -> Layout:
     Raises:
         UserError: there is no such folder.
     """
+    layout = new_results(results)
+    if not layout.root.is_dir():
+        raise UserError(f"there is no results folder {layout.root}", "`rrmctl run` makes one; --results names another")
+    return layout
+
+
+def new_results(results: str | Path) -> Layout:
+    """The layout of a results root, whether or not it exists.
+
+    Raises:
+        UserError: it is a file.
+    """
     root = Path(results)
-    if not root.is_dir():
-        raise UserError(f"there is no results folder {root}", "`rrmctl run` makes one; --results names another")
+    if root.exists() and not root.is_dir():
+        raise UserError(f"{root} is a file, not a folder", "name a folder with --results; the default is results")
     return Layout(root)
 
 
@@ -150,11 +194,14 @@ def find_sweeps(layout: Layout, experiment: str) -> list[SweepRecord]:
     Raises:
         UserError: none was; the message lists what is there.
     """
+    from rrmctl.planning.manifest import nearest
+
     sweeps = read_sweeps(layout, experiment)
     if not sweeps:
-        known = ", ".join(layout.experiments()) or "nothing yet"
+        known = layout.experiments()
         raise UserError(
-            f"{layout.root} holds no runs of {experiment!r}; it holds: {known}",
+            f"{layout.root} holds no runs of {experiment!r}; it holds: {', '.join(known) or 'nothing yet'}"
+            f"{nearest(experiment, known)}",
             f"start it with `rrmctl run {experiment}`, or name another folder with --results",
         )
     return sweeps
@@ -164,8 +211,10 @@ def find_run(layout: Layout, prefix: str) -> RunFolder:
     """The folder of the one run whose id starts with `prefix`.
 
     Raises:
-        UserError: none does, or several do.
+        UserError: none does, or several do, or `prefix` is empty.
     """
+    if not prefix:
+        raise UserError("no run was named", "give its id or the first digits of it; `rrmctl status --failed` lists ids")
     matches = [run for run in layout.run_ids() if run.startswith(prefix)]
     if len(matches) == 1:
         return layout.run(matches[0])

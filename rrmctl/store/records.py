@@ -10,7 +10,16 @@ from enum import StrEnum
 from pathlib import Path
 from typing import Any, Self
 
-from rrmctl.store.atomic import DamagedError, locked, read_json, remove_leftovers, try_lock, write_json
+from rrmctl.store import shape
+from rrmctl.store.atomic import (
+    DamagedError,
+    locked,
+    read_json,
+    remove_leftovers,
+    set_aside,
+    try_lock,
+    write_json,
+)
 from rrmctl.store.layout import Layout, RunFolder
 from rrmctl.store.schema import SCHEMA_VERSION
 
@@ -45,7 +54,8 @@ class RunError:
     message: str
 
     def __str__(self) -> str:
-        return f"{self.type}: {self.message}"
+        # A place that takes no write is named by the message; the class of the exception says no more.
+        return self.message if self.kind is ErrorKind.STORAGE else f"{self.type}: {self.message}"
 
     @classmethod
     def from_json(cls, value: Mapping[str, Any]) -> Self:
@@ -86,12 +96,29 @@ class Status:
         """
         content = dict(value)
         _check_version(content.pop("schema_version", None), path)
+        shape.check(content, _STATUS, path, _STATUS_HINT)
+        error = content.pop("error")
+        if error is not None:
+            shape.check(error, _ERROR, path, _STATUS_HINT, "error.")
         try:
-            error = content.pop("error")
             state = State(content.pop("state"))
             return cls(**content, state=state, error=None if error is None else RunError.from_json(error))
-        except (KeyError, TypeError, ValueError) as problem:
-            raise DamagedError(f"{path} is not a run's status: {problem}", "move it away") from problem
+        except (TypeError, ValueError) as problem:  # a word that is no state, a field nobody knows
+            raise DamagedError(f"{path} is damaged: {problem}", _STATUS_HINT) from problem
+
+
+_STATUS_HINT = "move it away: `rrmctl resume` goes on from the curve and the checkpoint"
+
+_ERROR = dict.fromkeys(("kind", "type", "message"), shape.TEXT)
+
+_STATUS = (
+    {"state": shape.TEXT, "discard": shape.FLAG, "error": shape.OBJECT + shape.NONE}
+    | dict.fromkeys(("attempt", "step", "steps", "rows"), shape.WHOLE)
+    | dict.fromkeys(
+        ("success", "true_return", "steps_per_s", "wall_s", "started", "heartbeat"), shape.NUMBER + shape.NONE
+    )
+    | {"pid": shape.WHOLE + shape.NONE, "host": shape.TEXT + shape.NONE}
+)
 
 
 def read_status(folder: RunFolder) -> Status:
@@ -127,15 +154,25 @@ def record_failure(folder: RunFolder, error: RunError) -> None:
         os.close(lock)
 
 
-def record_config(folder: RunFolder, content: dict[str, Any]) -> None:
-    """Write the run's `config.json` unless it says the same already.
+def record_config(folder: RunFolder, content: dict[str, Any]) -> str | None:
+    """Write the run's `config.json` unless it says the same already. A damaged one is set aside first.
+
+    Returns:
+        What a person should know of a file that was set aside.
 
     Raises:
         StorageError: the results folder takes no write.
-        DamagedError: the file that is there is damaged.
     """
-    if read_json(folder.config) != content:
+    note = None
+    try:
+        known = read_json(folder.config)
+    except DamagedError as error:
+        known = None
+        if folder.config.exists():
+            note = f"{error}; set aside as {set_aside(folder.config, 'corrupt').name} and written anew"
+    if known != content:
         write_json(folder.config, content)
+    return note
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -188,13 +225,39 @@ class SweepRecord:
         Raises:
             DamagedError: it is of another version, or lacks or mistakes a field.
         """
-        content = dict(value)
+        content, hint = dict(value), _sweep_hint(path)
         _check_version(content.pop("schema_version", None), path)
+        shape.check(content, _SWEEP, path, hint)
         try:
-            jobs = tuple(JobRecord(**job) for job in content.pop("jobs"))
+            jobs = tuple(_job(job, number, path) for number, job in enumerate(content.pop("jobs")))
             return cls(**content, jobs=jobs)
-        except (KeyError, TypeError) as problem:
-            raise DamagedError(f"{path} is not a sweep's record: {problem}", "move it away and run again") from problem
+        except TypeError as problem:  # a field nobody knows
+            raise DamagedError(f"{path} is damaged: {problem}", hint) from problem
+
+
+_SWEEP = {
+    **dict.fromkeys(("experiment", "variant", "profile"), shape.TEXT),
+    "overrides": shape.OBJECT,
+    "jobs": shape.LIST,
+}
+
+_JOB = dict.fromkeys(("id", "cell", "task", "method", "teacher", "feedback"), shape.TEXT) | dict.fromkeys(
+    ("seed", "steps"), shape.WHOLE
+)
+
+
+def _job(value: Any, number: int, path: Path) -> JobRecord:
+    where, hint = f"jobs[{number}]", _sweep_hint(path)
+    shape.check({where: value}, {where: shape.OBJECT}, path, hint)
+    shape.check(value, _JOB, path, hint, f"{where}.")
+    shape.check_run_id(value["id"], path, hint, f"{where}.id")
+    return JobRecord(**value)
+
+
+def _sweep_hint(path: Path) -> str:
+    return (
+        f"move it away; the `rrmctl run {path.parent.name} ...` that made it makes it again, and trains nothing twice"
+    )
 
 
 def read_sweeps(layout: Layout, experiment: str | None = None) -> list[SweepRecord]:
@@ -203,13 +266,33 @@ def read_sweeps(layout: Layout, experiment: str | None = None) -> list[SweepReco
     Raises:
         DamagedError: a record is damaged.
     """
+    sweeps, damage = readable_sweeps(layout, experiment)
+    if damage:
+        raise damage[0]
+    return sweeps
+
+
+def readable_sweeps(layout: Layout, experiment: str | None = None) -> tuple[list[SweepRecord], list[DamagedError]]:
+    """Like `read_sweeps`, for those who can go on without a damaged record: what could be read, and what is damaged."""
     experiments = layout.experiments() if experiment is None else [experiment]
-    records = []
+    sweeps, damage = [], []
     for path in (file for name in experiments for file in layout.sweep_files(name)):
+        try:
+            sweep = _read_sweep(path)
+        except DamagedError as error:
+            damage.append(error)
+            continue
+        if sweep is not None:  # not removed since the folder was listed
+            sweeps.append(sweep)
+    return sweeps, damage
+
+
+def _read_sweep(path: Path) -> SweepRecord | None:
+    try:
         value = read_json(path)
-        if value is not None:  # removed since the folder was listed
-            records.append(SweepRecord.from_json(value, path))
-    return records
+    except DamagedError as error:
+        raise DamagedError(str(error), _sweep_hint(path)) from error
+    return None if value is None else SweepRecord.from_json(value, path)
 
 
 def record_sweep(layout: Layout, asked: SweepRecord) -> SweepRecord:
@@ -222,10 +305,9 @@ def record_sweep(layout: Layout, asked: SweepRecord) -> SweepRecord:
     path = layout.sweep(asked.experiment, asked.variant)
     with locked(layout.sweep_lock(asked.experiment)):
         remove_leftovers(path.parent)
-        value = read_json(path)
-        known = asked if value is None else SweepRecord.from_json(value, path)
-        union = known.with_jobs(asked.jobs)
-        if value is None or union != known:
+        known = _read_sweep(path)
+        union = (known or asked).with_jobs(asked.jobs)
+        if union != known:
             write_json(path, union.to_json())
     return union
 

@@ -90,6 +90,7 @@ class Sweep:
         for job in jobs.to_dict("records"):
             folder = layout.run(job["run"])
             told = {name: job[name] for name in ("profile", "task", "method", "seed", "cell", "steps")}
+            told |= {"id": folder.id, "config_version": 1, "precision": "float32", "threads": 1}
             write_json(folder.config, told | {"evaluation": {"success": "any", "deterministic": True}})
             write_status(folder, Status(state=State(job["state"]), steps=400))
             curve = rows[rows["run"] == job["run"]][[*IDENTITY, *MEASURED]].astype({"queries": int, "labels": int})

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import dataclasses
+import hashlib
 import json
 import os
 import threading
+from collections import Counter
 from pathlib import Path
 
 import pytest
@@ -14,7 +16,7 @@ from rrmctl.errors import UserError
 from rrmctl.store import load, planned
 from rrmctl.store.atomic import DamagedError, try_lock
 from rrmctl.store.layout import Layout
-from rrmctl.store.reader import find_run, find_sweeps, log_tail, run_status
+from rrmctl.store.reader import find_run, find_sweeps, log_tail, read_config, run_status
 from rrmctl.store.records import (
     ErrorKind,
     JobRecord,
@@ -24,6 +26,8 @@ from rrmctl.store.records import (
     SweepRecord,
     read_status,
     read_sweeps,
+    readable_sweeps,
+    record_config,
     record_failure,
     record_sweep,
     write_status,
@@ -35,7 +39,14 @@ from tests.rrmctl.running.standin import prepare, row
 
 def job(seed: int, method: str = "pebble") -> JobRecord:
     return JobRecord(
-        id=f"{method}{seed}", cell=method, task="t", method=method, teacher="oracle", feedback="f", seed=seed, steps=100
+        id=hashlib.sha256(f"{method}{seed}".encode()).hexdigest()[:16],
+        cell=method,
+        task="t",
+        method=method,
+        teacher="oracle",
+        feedback="f",
+        seed=seed,
+        steps=100,
     )
 
 
@@ -118,6 +129,90 @@ def test_a_damaged_status_is_told_not_guessed(tmp_path: Path, content: str) -> N
         read_status(folder)
 
 
+STATUS = Status(state=State.DONE, step=5, wall_s=1.0, error=RunError(kind=ErrorKind.KILLED, type="K", message="k"))
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        ({"step": "x"}, "step is 'x', not a whole number"),
+        ({"rows": True}, "rows is True, not a whole number"),
+        ({"wall_s": "y"}, "wall_s is 'y', not a number or null"),
+        ({"error": [1]}, r"error is \[1\], not an object or null"),
+        ({"error": {"kind": "killed"}}, "lacks error.type, error.message"),
+        ({"state": None}, "state is None, not text"),
+    ],
+)
+def test_a_status_with_a_field_of_another_kind_is_damaged(tmp_path: Path, change: object, told: str) -> None:
+    """File and field are named, before anybody reckons with it."""
+    folder = Layout(tmp_path).run("r")
+    folder.path.mkdir(parents=True)
+    folder.status.write_text(json.dumps(STATUS.to_json() | change))
+    with pytest.raises(DamagedError, match=rf"r/status\.json is damaged: .*{told}"):
+        read_status(folder)
+    assert run_status(folder).state is State.UNREADABLE
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        ({"overrides": [1]}, r"overrides is \[1\], not an object"),
+        ({"jobs": {}}, "jobs is {}, not a list"),
+        ({"jobs": [1]}, r"jobs\[0\] is 1, not an object"),
+        ({"jobs": [dataclasses.asdict(job(0)) | {"seed": "x"}]}, r"jobs\[0\].seed is 'x', not a whole number"),
+        ({"jobs": [dataclasses.asdict(job(0)) | {"id": "../x"}]}, r"jobs\[0\].id is '../x', not 16 hexadecimal digits"),
+    ],
+)
+def test_a_sweep_with_a_field_of_another_kind_is_damaged(tmp_path: Path, change: object, told: str) -> None:
+    """It is named with the command that makes it again; the other sweeps can still be read."""
+    layout = Layout(tmp_path)
+    for variant in ("smoke", "paper"):
+        record_sweep(layout, sweep(job(0), variant=variant))
+    path = layout.sweep("e", "smoke")
+    path.write_text(json.dumps(json.loads(path.read_text()) | change))
+    with pytest.raises(DamagedError, match=rf"e/smoke\.json is damaged: {told}") as caught:
+        read_sweeps(layout)
+    assert "`rrmctl run e ...`" in str(caught.value.hint)
+    good, (bad,) = readable_sweeps(layout)
+    assert [each.variant for each in good] == ["paper"]
+    assert str(bad) == str(caught.value)
+
+
+@pytest.mark.parametrize("content", ["{}", '{"threads": "1"}', "{"])
+def test_a_damaged_configuration_is_told_and_written_anew(tmp_path: Path, content: str) -> None:
+    """Reading it names the file; recording the run again repairs it."""
+    layout, jobs = prepare(tmp_path, range(1))
+    folder = layout.run(jobs[0].id)
+    good = read_config(folder)
+    folder.config.write_text(content)
+    with pytest.raises(DamagedError, match=r"config\.json"):
+        read_config(folder)
+    record_config(folder, good)
+    assert read_config(folder) == good
+
+
+def test_what_is_nobody_s_run_or_sweep_is_not_looked_at(tmp_path: Path) -> None:
+    """Files and folders that lie around in the results folder stop nothing."""
+    layout, jobs = prepare(tmp_path, range(1))
+    with_rows(layout, jobs[0].id, 10)
+    for folder in ("runs/copy of a run", "runs/notes", "sweeps/bad name!", "sweeps/stand-in/sub.json"):
+        (tmp_path / folder).mkdir()
+    for file in ("runs/stray", "runs/feedfacefeedface", "sweeps/notes.txt", "sweeps/stand-in/bad name!.json"):
+        (tmp_path / file).touch()
+    assert layout.run_ids() == [jobs[0].id]
+    assert layout.experiments() == ["stand-in"]
+    assert len(load(tmp_path)) == 1
+
+
+def test_the_curve_of_another_run_is_refused(tmp_path: Path) -> None:
+    """A copy in the wrong folder does not become that run's result."""
+    layout, jobs = prepare(tmp_path, range(2))
+    with_rows(layout, jobs[0].id, 10)
+    layout.run(jobs[1].id).curve.write_bytes(layout.run(jobs[0].id).curve.read_bytes())
+    with pytest.raises(DamagedError, match=f"is the curve of run {jobs[0].id}, not of {jobs[1].id}"):
+        load(tmp_path)
+
+
 def test_a_failure_is_recorded_unless_somebody_else_has_the_run(tmp_path: Path) -> None:
     """The owner of a run is the only one to write its status."""
     folder = Layout(tmp_path).run("r")
@@ -189,15 +284,21 @@ def test_a_damaged_curve_stops_load_with_its_name(tmp_path: Path) -> None:
 def test_an_experiment_that_never_ran_is_answered_with_those_that_did(tmp_path: Path) -> None:
     """So are a folder that does not exist, and ids that fit no run or several."""
     layout, jobs = prepare(tmp_path, range(30))
-    with pytest.raises(UserError, match="it holds: stand-in"):
+    with pytest.raises(UserError, match=r'it holds: stand-in; did you mean "stand-in"\?'):
         find_sweeps(layout, "stand-inn")
     with pytest.raises(UserError, match="there is no results folder"):
         planned(tmp_path / "nowhere")
     assert jobs[0].id == find_run(layout, jobs[0].id[:10]).id
     with pytest.raises(UserError, match="no run in"):
         find_run(layout, "zzz")
-    with pytest.raises(UserError, match=r"stands for 30 runs: .*, \.\.\."):
+    with pytest.raises(UserError, match="no run was named"):
         find_run(layout, "")
+    first, count = Counter(job.id[0] for job in jobs).most_common(1)[0]
+    with pytest.raises(UserError, match=f"stands for {count} runs: "):
+        find_run(layout, first)
+    (tmp_path / "file").touch()
+    with pytest.raises(UserError, match="file is a file, not a folder"):
+        planned(tmp_path / "file")
 
 
 def test_readers_never_meet_a_curve_half_written(tmp_path: Path) -> None:

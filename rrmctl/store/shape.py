@@ -1,0 +1,54 @@
+"""Whether the fields of a JSON object are there and of the right kind. A plain loop: statuses are read by the thousand."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from rrmctl.store.atomic import DamagedError
+from rrmctl.store.layout import RUN_ID
+
+#: Kinds of values. By exact type: JSON's true is no number.
+Kind = tuple[type, ...]
+TEXT: Kind = (str,)
+WHOLE: Kind = (int,)
+NUMBER: Kind = (int, float)
+FLAG: Kind = (bool,)
+OBJECT: Kind = (dict,)
+LIST: Kind = (list,)
+NONE: Kind = (type(None),)
+
+_WORDS: dict[type, str] = {
+    str: "text", int: "a whole number", float: "a number", bool: "true or false", dict: "an object", list: "a list",
+    type(None): "null",
+}  # fmt: skip
+
+
+def check(value: Mapping[str, Any], kinds: Mapping[str, Kind], path: Path, hint: str, where: str = "") -> None:
+    """Refuse an object that lacks one of these fields, or holds something else in it. Further fields are not looked at.
+
+    Args:
+        value: as read from `path`.
+        where: what stands before a field's name in messages, such as `jobs[0].`.
+
+    Raises:
+        DamagedError: naming file and field.
+    """
+    missing = [name for name in kinds if name not in value]
+    if missing:
+        raise DamagedError(f"{path} is damaged: it lacks {', '.join(where + name for name in missing)}", hint)
+    for name, kind in kinds.items():
+        if type(value[name]) not in kind:
+            wanted = " or ".join(_WORDS[each] for each in kind if not (each is int and float in kind))
+            raise DamagedError(f"{path} is damaged: {where}{name} is {value[name]!r:.80}, not {wanted}", hint)
+
+
+def check_run_id(value: str, path: Path, hint: str, where: str) -> None:
+    """Refuse what is not a run's identity.
+
+    Raises:
+        DamagedError: naming file and field.
+    """
+    if not RUN_ID.fullmatch(value):
+        raise DamagedError(f"{path} is damaged: {where} is {value!r:.80}, not 16 hexadecimal digits", hint)
