@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import math
 import os
@@ -9,6 +10,7 @@ import signal
 import sys
 import threading
 import time
+from collections.abc import Iterator
 from types import FrameType, TracebackType
 from typing import Any, Self
 
@@ -85,6 +87,10 @@ def _line(message: dict[str, Any]) -> bytes:
     return line
 
 
+class Leave(BaseException):
+    """A stop was asked for while there was nothing to save. Not an Exception, so that no import in between keeps it."""
+
+
 class StopRequest:
     """Set by SIGTERM, SIGINT, or the death of the parent. Used as a context, in the main thread.
 
@@ -98,12 +104,24 @@ class StopRequest:
         self._pipe = pipe
         self._requested = threading.Event()
         self._left = threading.Event()
+        self._at_once = False
         self._handlers: dict[signal.Signals, Any] = {}
 
     @property
     def requested(self) -> bool:
         """True once the run should be checkpointed and left."""
         return self._requested.is_set() or self._pipe.broken
+
+    @contextlib.contextmanager
+    def at_once(self) -> Iterator[None]:
+        """A block in which a request to stop, the one before it included, raises `Leave` in the main thread."""
+        self._at_once = True
+        try:
+            if self.requested:
+                raise Leave
+            yield
+        finally:
+            self._at_once = False
 
     def __enter__(self) -> Self:
         for number in (signal.SIGTERM, signal.SIGINT):
@@ -121,12 +139,17 @@ class StopRequest:
 
     def _on_signal(self, _number: int, _frame: FrameType | None) -> None:
         self._requested.set()
+        if self._at_once:
+            self._at_once = False  # a second signal must not disturb the leaving
+            raise Leave
 
     def _watch(self, parent: int) -> None:
         while os.getppid() == parent:
             if self._left.wait(_WATCH_S):
                 return
         self._requested.set()
+        if self._at_once:  # only the main thread can leave what it is doing, and only a signal reaches it there
+            os.kill(os.getpid(), signal.SIGTERM)
         # Nobody is left to end this process should it hang, so it does so itself, with whatever it has started.
         if not self._left.wait(_GRACE_S):
             leads = os.getpgrp() == os.getpid()

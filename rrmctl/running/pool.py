@@ -130,9 +130,9 @@ class Pool:
             try:
                 self._launch(assignment, fresh=assignment.fresh and status.attempt <= assignment.attempt)
             except StorageError as error:
-                self._conclude(job, _failure(ErrorKind.STORAGE, str(error)))
+                self._conclude(job, _failure(ErrorKind.STORAGE, "StorageError", str(error)))
             except OSError as error:
-                self._conclude(job, _failure(ErrorKind.CRASHED, f"no process could be started: {error}"))
+                self._conclude(job, _failure(ErrorKind.CRASHED, "OSError", f"no process could be started: {error}"))
 
     def _launch(self, assignment: Assignment, *, fresh: bool) -> None:
         options = ["--asked", json.dumps(list(self.asked)), *(["--fresh"] if fresh else [])]
@@ -212,7 +212,14 @@ class Pool:
         for child in [child for child in self._children.values() if child.ended()]:
             self._hear(child)
             self._forget(child)
-            self._conclude(child.job, child.outcome(stopping=self._kill_at is not None))
+            self._conclude(child.job, self._outcome(child))
+
+    def _outcome(self, child: Child) -> Outcome:
+        """How an attempt ended. Some library may end the process with exit code 0: only the status says done."""
+        outcome = child.outcome(stopping=self._kill_at is not None)
+        if outcome.ending is Ending.DONE and run_status(self.layout.run(child.job)).state is not State.DONE:
+            return _failure(ErrorKind.CRASHED, "Exit", "left with exit code 0 before its end")
+        return outcome
 
     def _conclude(self, job: str, outcome: Outcome) -> None:
         phase = self.scheduler.end(job, outcome)
@@ -248,8 +255,8 @@ def _settled(assignment: Assignment, status: Status) -> Outcome | None:
     return None
 
 
-def _failure(kind: ErrorKind, message: str) -> Outcome:
-    return Outcome(Ending.FAILED, RunError(kind=kind, type="OSError", message=message))
+def _failure(kind: ErrorKind, name: str, message: str) -> Outcome:
+    return Outcome(Ending.FAILED, RunError(kind=kind, type=name, message=message))
 
 
 @contextlib.contextmanager

@@ -63,5 +63,6 @@ def _check_files(config: RunConfig) -> None:
         if name is not None and source_digest(name) != planned:
             raise UserError(
                 f"{name.rpartition(':')[0]} has changed since this run was planned with it",
-                "run the experiment again: the changed file makes new runs; or bring the old file back",
+                "run the experiment again: the changed file makes new runs; or bring the old file back, then "
+                "`rrmctl resume --retry-failed`",
             )

@@ -23,7 +23,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
 from rrmctl.errors import UserError
-from rrmctl.running.lifeline import Pipe, StopRequest, say
+from rrmctl.running.lifeline import Leave, Pipe, StopRequest, say
 from rrmctl.running.runfile import load_config
 from rrmctl.store import atomic, provenance
 from rrmctl.store.layout import Layout, RunFolder
@@ -157,16 +157,26 @@ def _attempt(
     status = _take_up(folder, before, fresh=given.fresh)
     say(f"--- attempt {status.attempt}, process {os.getpid()}, {time.strftime('%Y-%m-%d %H:%M:%S')}")
     pipe.send(event="start", attempt=status.attempt, rows=status.rows)
-    config, stored = load_config(folder), read_config(folder)
-    status = dataclasses.replace(status, steps=config.steps)
-    identity = {"run": folder.id, **{name: stored[name] for name in IDENTITY if name != "run"}}
-    curve = CurveWriter(folder, identity, expected=status.rows)
+    try:
+        # Imports and the environment take many seconds on a loaded machine, and until training begins nothing is lost.
+        with stop.at_once():
+            config, stored = load_config(folder), read_config(folder)
+            status = dataclasses.replace(status, steps=config.steps)
+            identity = {"run": folder.id, **{name: stored[name] for name in IDENTITY if name != "run"}}
+            curve = CurveWriter(folder, identity, expected=status.rows)
+            finished = _finished(folder, curve, config)
+            if not finished:
+                trainer = trainer or _library(config.threads)
+                facts = provenance.collect(stored, trainer.fingerprint(config), given.asked, status.attempt)
+                for change in provenance.record(folder, facts):
+                    pipe.note(f"differs from the attempt before: {change}")
+    except Leave:
+        write_status(folder, dataclasses.replace(status, state=State.INTERRUPTED, heartbeat=time.time()))
+        say(f"--- {State.INTERRUPTED} before training began")
+        return WorkerExit.STOPPED
     monitor = RunMonitor(folder, status, curve, pipe, stop)
-    if not _finished(folder, curve, config):
-        trainer = trainer or _library(config.threads)
-        facts = provenance.collect(stored, trainer.fingerprint(config), given.asked, status.attempt)
-        for change in provenance.record(folder, facts):
-            pipe.note(f"differs from the attempt before: {change}")
+    if not finished:
+        assert trainer is not None
         if stop.requested or not trainer.train(config, folder.path, monitor):
             monitor.close(State.INTERRUPTED)
             return WorkerExit.STOPPED
@@ -254,9 +264,9 @@ def _record_failure(folder: RunFolder, reason: RunError) -> None:
 def _reason(folder: RunFolder, error: Exception) -> tuple[WorkerExit, RunError]:
     from rrm.errors import RrmError
 
-    name = type(error).__name__
     if isinstance(error, OSError) and error.errno in atomic.STORAGE_ERRNOS:
         error = atomic.storage_error(Path(error.filename or folder.path), error)
+    name = type(error).__name__
     if isinstance(error, atomic.StorageError):
         return WorkerExit.STORAGE, RunError(kind=ErrorKind.STORAGE, type=name, message=_told(error))
     if isinstance(error, UserError | RrmError):

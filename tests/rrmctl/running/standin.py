@@ -112,6 +112,8 @@ def misbehave(behaviour: str, folder: Path, monitor: worker.RunMonitor) -> None:
         case "gate":
             while not (folder.parents[1] / "go").exists() and not monitor.should_stop():
                 time.sleep(0.02)
+        case "exit":
+            os._exit(0)
         case "crash":
             raise RuntimeError("boom")
         case "crash-once" if first:

@@ -194,6 +194,7 @@ def test_a_killed_worker_costs_one_attempt_and_no_other_job(tmp_path: Path, beha
     ("behaviour", "starts", "kind", "told"),
     [
         ("crash", 4, ErrorKind.CRASHED, "RuntimeError: boom"),
+        ("exit", 4, ErrorKind.CRASHED, "Exit: left with exit code 0 before its end"),
         pytest.param("segfault", 4, ErrorKind.KILLED, "SIGSEGV: killed by signal 11", marks=pytest.mark.slow),
         ("refuse", 1, ErrorKind.REFUSED, "PriorError: prior returned NaN at step 20"),
     ],

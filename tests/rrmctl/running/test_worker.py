@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import os
+import signal
+import time
 from pathlib import Path
 
 import pytest
@@ -180,7 +183,9 @@ def test_a_prior_that_changed_after_planning_is_refused(tmp_path: Path) -> None:
     record_config(folder, config_content(planned))
     assert isinstance(load_config(folder), RunConfig)
     prior.write_text("def closer(obs):\n    return 1.0\n")
-    assert "mine.py has changed since this run was planned" in refusal(folder)
+    told = refusal(folder)
+    assert "mine.py has changed since this run was planned" in told
+    assert "rrmctl resume --retry-failed" in told
     prior.unlink()
     assert "mine.py" in refusal(folder)
 
@@ -188,6 +193,31 @@ def test_a_prior_that_changed_after_planning_is_refused(tmp_path: Path) -> None:
 def test_a_configuration_survives_its_file(folder: RunFolder) -> None:
     """What the worker reads is what was planned."""
     assert load_config(folder) == config(0).canonical()
+
+
+class Slow(Trainer):
+    """Would take half a minute to make its environment; told to stop by a signal meanwhile, if `signalled`."""
+
+    def __init__(self, *, signalled: bool) -> None:
+        self._signalled = signalled
+
+    def fingerprint(self, config: RunConfig) -> dict[str, str]:
+        if self._signalled:
+            os.kill(os.getpid(), signal.SIGTERM)
+        time.sleep(30.0)
+        raise AssertionError("it went on")
+
+
+@pytest.mark.parametrize("signalled", [True, False], ids=["signal", "parent gone"])
+def test_before_training_begins_a_stop_is_obeyed_at_once(folder: RunFolder, *, signalled: bool) -> None:
+    """There is nothing to save yet: the run is interrupted, its lock free, in the middle of whatever was going on."""
+    parent = os.getppid() if signalled else 2**22 + 1
+    told = [str(folder.path.parents[1]), folder.id, "--parent", str(parent)]
+    assert main(told, Slow(signalled=signalled)) is WorkerExit.STOPPED
+    status = read_status(folder)
+    assert (status.state, status.error) == (State.INTERRUPTED, None)
+    assert not is_locked(folder.lock)
+    assert work(folder) is WorkerExit.DONE
 
 
 def test_a_retry_forgets_the_error_of_the_attempt_before(folder: RunFolder) -> None:
