@@ -121,5 +121,10 @@ def errors(jobs: Iterable[JobRecord], states: Mapping[str, Status]) -> dict[str,
     return dict(sorted(found.items(), key=lambda item: -len(item[1])))
 
 
+def runs(count: int) -> str:
+    """`1 run`, `2 runs`."""
+    return f"{count} run{'s' if count != 1 else ''}"
+
+
 def _once(jobs: Iterable[JobRecord]) -> list[JobRecord]:
     return list({job.id: job for job in jobs}.values())

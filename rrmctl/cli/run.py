@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import dataclasses
 import sys
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from rrmctl.cli.finish import finish
 from rrmctl.cli.options import (
     DEFAULT_EXPERIMENTS,
     DEFAULT_RESULTS,
@@ -22,8 +23,9 @@ from rrmctl.cli.options import (
     SetOption,
     TasksOption,
 )
+from rrmctl.cli.progress import runs
 from rrmctl.cli.request import Request, forecast, in_words, smaller
-from rrmctl.cli.state import show, status
+from rrmctl.cli.state import note_damage, show, status
 from rrmctl.errors import Exit, UserError
 
 if TYPE_CHECKING:
@@ -33,7 +35,7 @@ if TYPE_CHECKING:
     from rrmctl.planning.plan import Job, Plan
     from rrmctl.running.pool import Assignment
     from rrmctl.store.layout import Layout
-    from rrmctl.store.records import JobRecord, Status
+    from rrmctl.store.records import JobRecord, Status, SweepRecord
 
 __all__ = ["resume", "run", "show", "status"]
 
@@ -79,23 +81,26 @@ def run(
 
       rrmctl run toy-car --set agent.batch=256 --prior my_priors.py:closer
     """
-    from rrmctl.store.layout import Layout
+    from rrmctl.store.reader import new_results
+    from rrmctl.store.records import readable_sweeps
 
     console = _progress_console()
     request = Request(name, experiments, profile, seeds, tasks, methods, overrides, prior)
-    plan, layout = request.plan(), Layout(results)
+    layout = new_results(results)
+    plan = request.plan()
+    note_damage(readable_sweeps(layout)[1])
     slots = workers or _default_slots(job.config.threads for job in plan.jobs)
     expected = forecast(plan, layout)
     _introduce(console, request, _from_nothing(expected) if force else expected, slots)
     chosen = [job for job in plan.jobs if force or _is_open(expected.states[job.id], retry_failed=retry_failed)]
     if chosen and expected.hours_left > _LARGE_H and not yes and _asks() and not typer.confirm("Start?", err=True):
         raise typer.Exit(Exit.INCOMPLETE)
-    _record(layout, plan)
+    sweep = _record(console, layout, plan)
     assigned = [
         _assignment(_job_record(job), expected.states[job.id], job.config.threads, fresh=force) for job in chosen
     ]
     code = _run(console, layout, assigned, slots)
-    _finish(layout, code, _left_out(expected.states, assigned), [plan.experiment])
+    finish(layout, code, [sweep])
 
 
 def resume(
@@ -111,11 +116,12 @@ def resume(
     The configurations recorded then are run, whatever the manifests say today.
     """
     from rrmctl.store.reader import find_sweeps, open_results, statuses
-    from rrmctl.store.records import read_sweeps
+    from rrmctl.store.records import readable_sweeps
 
     console = _progress_console()
     layout = open_results(results)
-    sweeps = read_sweeps(layout) if name is None else find_sweeps(layout, name)
+    sweeps, damage = readable_sweeps(layout) if name is None else (find_sweeps(layout, name), [])
+    note_damage(damage)
     if not sweeps:
         raise UserError(f"{results} holds no sweep", "begin one with `rrmctl run NAME`; `rrmctl list` shows the names")
     jobs = {job.id: job for sweep in sweeps for job in sweep.jobs}
@@ -123,10 +129,10 @@ def resume(
     chosen = [job for job in jobs.values() if _is_open(states[job.id], retry_failed=retry_failed)]
     for sweep in sweeps:
         count = sum(_is_open(states[job.id], retry_failed=retry_failed) for job in sweep.jobs)
-        console.print(f"{sweep.experiment} ({sweep.variant}): {count} of {len(sweep.jobs)} runs to go", soft_wrap=True)
+        console.print(f"{sweep.experiment} ({sweep.variant}): {count} of {runs(len(sweep.jobs))} to go", soft_wrap=True)
     assigned = [_assignment(job, states[job.id], _threads(layout, job), fresh=False) for job in chosen]
     code = _run(console, layout, assigned, workers or _default_slots(job.threads for job in assigned))
-    _finish(layout, code, _left_out(states, assigned), dict.fromkeys(sweep.experiment for sweep in sweeps))
+    finish(layout, code, sweeps, damaged=bool(damage))
 
 
 def _default_slots(threads: Iterable[int]) -> int:
@@ -151,7 +157,7 @@ def _introduce(console: Console, request: Request, expected: Forecast, slots: in
     done, failed = expected.count("done"), expected.count("failed")
     there = f", {done} done already" if done else ""
     there += f", {failed} failed" if failed else ""
-    console.print(f"{plan.experiment} ({plan.variant}): {len(plan.jobs)} runs{there}.", style="bold", soft_wrap=True)
+    console.print(f"{plan.experiment} ({plan.variant}): {runs(len(plan.jobs))}{there}.", style="bold", soft_wrap=True)
     console.print(in_words(expected, slots), soft_wrap=True)
     for line in notes(plan, usable_cores()):
         console.print(f"  note: {line}", soft_wrap=True)
@@ -165,20 +171,21 @@ def _is_open(status: Status, *, retry_failed: bool) -> bool:
     return status.state != "done" and (status.state != "failed" or retry_failed)
 
 
-def _record(layout: Layout, plan: Plan) -> None:
-    """Write down what was asked for: first every run's configuration, then the sweep that names them."""
+def _record(console: Console, layout: Layout, plan: Plan) -> SweepRecord:
+    """Write down what was asked for, and return it: first every run's configuration, then the sweep that names them."""
     from rrmctl.running.runfile import config_content
     from rrmctl.store.records import SweepRecord, record_config, record_sweep
 
     for job in plan.jobs:
-        record_config(layout.run(job.id), config_content(job.config))
-    jobs = tuple(map(_job_record, plan.jobs))
-    record_sweep(
-        layout,
-        SweepRecord(
-            experiment=plan.experiment, variant=plan.variant, profile=plan.profile, overrides=plan.overrides, jobs=jobs
-        ),
-    )
+        note = record_config(layout.run(job.id), config_content(job.config))
+        if note is not None:
+            console.print(f"note: {note}", markup=False, soft_wrap=True)
+    asked = SweepRecord(
+        experiment=plan.experiment, variant=plan.variant, profile=plan.profile, overrides=plan.overrides,
+        jobs=tuple(map(_job_record, plan.jobs)),
+    )  # fmt: skip
+    record_sweep(layout, asked)
+    return asked
 
 
 def _job_record(job: Job) -> JobRecord:
@@ -198,16 +205,13 @@ def _assignment(job: JobRecord, status: Status, threads: int, *, fresh: bool) ->
     )  # fmt: skip
 
 
-def _left_out(states: Mapping[str, Status], assigned: Iterable[Assignment]) -> list[Status]:
-    """Where the runs stand that are not worked on."""
-    chosen = {assignment.id for assignment in assigned}
-    return [status for job, status in states.items() if job not in chosen]
-
-
 def _threads(layout: Layout, job: JobRecord) -> int:
     from rrmctl.store.reader import read_config
 
-    return int(read_config(layout.run(job.id))["threads"])
+    try:
+        return int(read_config(layout.run(job.id))["threads"])
+    except UserError:  # the run's own worker refuses it with this message, and the other runs go on
+        return 1
 
 
 def _run(console: Console, layout: Layout, assigned: Sequence[Assignment], slots: int) -> Exit:
@@ -225,28 +229,6 @@ def _run(console: Console, layout: Layout, assigned: Sequence[Assignment], slots
     bars = Bars(console, layout, assigned)
     with bars.progress:
         return Pool(layout=layout, assignments=assigned, slots=slots, watcher=bars, asked=asked).run()
-
-
-def _finish(layout: Layout, code: Exit, left_out: Iterable[Status], experiments: Iterable[str]) -> None:
-    """Say how it ended and what to do next, and leave with the exit code."""
-    failed_before = sum(status.state == "failed" for status in left_out)
-    if code is Exit.DONE and failed_before:
-        code = Exit.FAILED
-    names = list(experiments)
-    here = "" if layout.root == DEFAULT_RESULTS else f" --results {layout.root}"
-    name = names[0] if len(names) == 1 else ""
-    status_command = f"rrmctl status {name} --failed{here}".replace("  ", " ")
-    match code:
-        case Exit.DONE:
-            typer.echo("All done. Next:")
-            for each in names:
-                typer.echo(f"  rrmctl report iqm {each}{here}")
-                typer.echo(f"  rrmctl plot {each}{here}")
-        case Exit.FAILED:
-            typer.echo(f"Some runs failed: {status_command}; --retry-failed tries them again.")
-        case _:
-            typer.echo(f"Not complete: rrmctl resume{' ' + name if name else ''}{here} goes on where it stopped.")
-    raise typer.Exit(code)
 
 
 def _progress_console() -> Console:

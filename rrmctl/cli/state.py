@@ -5,13 +5,14 @@ from __future__ import annotations
 import json
 import sys
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from rrmctl.cli.options import DEFAULT_RESULTS, ResultsOption
-from rrmctl.cli.progress import STATES, Group, errors, group_by_row, group_by_sweep
+from rrmctl.cli.progress import STATES, Group, errors, group_by_row, group_by_sweep, runs
+from rrmctl.errors import UserError
 
 if TYPE_CHECKING:
     from rich.console import Console, RenderableType
@@ -39,12 +40,14 @@ def status(
     A run is "interrupted" when its process stopped or died before its end; `rrmctl resume` goes on with it.
     """
     from rrmctl.store.reader import find_sweeps, open_results, statuses
-    from rrmctl.store.records import read_sweeps
+    from rrmctl.store.records import readable_sweeps
 
     layout = open_results(results)
+    if name is None:
+        note_damage(readable_sweeps(layout)[1])
 
     def look() -> _View:
-        sweeps = read_sweeps(layout) if name is None else find_sweeps(layout, name)
+        sweeps = readable_sweeps(layout)[0] if name is None else find_sweeps(layout, name)
         states = statuses(layout, (job for sweep in sweeps for job in sweep.jobs))
         return _View(layout, sweeps, states, detailed=name is not None, failed=failed)
 
@@ -113,7 +116,7 @@ class _View:
         """The totals in words."""
         counts = ", ".join(f"{self.total.counts[state]} {state}" for state in STATES if self.total.counts[state])
         left = f", about {self.total.left} left" if self.total.left else ""
-        return f"{counts} of {len(self.total.jobs)} runs{left}"
+        return f"{counts} of {runs(len(self.total.jobs))}{left}"
 
     def table(self) -> RenderableType:
         """For people."""
@@ -150,7 +153,7 @@ class _View:
         if not found:
             return Text("No run failed.")
         for message, jobs in found.items():
-            lines.append(f"{len(jobs)} {'runs' if len(jobs) > 1 else 'run'}: {message}\n", style="red")
+            lines.append(f"{runs(len(jobs))}: {message}\n", style="red")
             for job in jobs:
                 lines.append(f"  {job.id}  {job.label}, attempt {self._states[job.id].attempt}\n")
         lines.append(
@@ -193,21 +196,41 @@ def show(
 def _sections(layout: Layout, folder: RunFolder, lines: int) -> list[tuple[str, str]]:
     from rrmctl.store.atomic import read_json
     from rrmctl.store.reader import log_tail, read_config, run_status
-    from rrmctl.store.records import read_sweeps
+    from rrmctl.store.records import readable_sweeps
 
     now = run_status(folder)
-    uses = [(sweep, job) for sweep in read_sweeps(layout) for job in sweep.jobs if job.id == folder.id]
+    sweeps, damage = readable_sweeps(layout)
+    note_damage(damage)
+    uses = [(sweep, job) for sweep in sweeps for job in sweep.jobs if job.id == folder.id]
     state = f"{now.state}, attempt {now.attempt}, step {now.step:,}" + (f" of {now.steps:,}" if now.steps else "")
-    again = [_command(layout, sweep, job) for sweep, job in uses]
+    again = [rerun_command(layout, sweep, job) for sweep, job in uses]
     return [
         (f"run {folder.id}", "\n".join([str(folder.path), *(f"{s.experiment}: {j.label}" for s, j in uses)])),
         ("state", state + (f"\n{now.error}" if now.error else "")),
-        ("configuration", json.dumps(read_config(folder), indent=1)),
-        ("provenance", json.dumps(read_json(folder.provenance), indent=1) if folder.provenance.exists() else ""),
-        ("last evaluations", _last_rows(folder)),
+        ("configuration", _or_damage(lambda: json.dumps(read_config(folder), indent=1))),
+        ("provenance", _or_damage(lambda: _provenance(read_json(folder.provenance)))),
+        ("last evaluations", _or_damage(lambda: _last_rows(folder))),
         ("end of the log", "\n".join(log_tail(folder, lines) if lines else [])),
         ("again, from nothing", "\n".join(again)),
     ]
+
+
+def _provenance(content: dict[str, Any] | None) -> str:
+    return "" if content is None else json.dumps(content, indent=1)
+
+
+def _or_damage(tell: Callable[[], str]) -> str:
+    """What `tell` tells, or which file it could not read: the rest of a run can still be shown."""
+    try:
+        return tell()
+    except UserError as error:
+        return f"{error} ({error.hint})" if error.hint else str(error)
+
+
+def note_damage(damage: Iterable[UserError]) -> None:
+    """One line on standard error for each file that a command can go on without."""
+    for error in damage:
+        typer.echo(f"note: {error}; {error.hint}", err=True)
 
 
 def _last_rows(folder: RunFolder, count: int = 5) -> str:
@@ -225,7 +248,7 @@ def _last_rows(folder: RunFolder, count: int = 5) -> str:
     return "\n".join(told)
 
 
-def _command(layout: Layout, sweep: SweepRecord, job: Any) -> str:
+def rerun_command(layout: Layout, sweep: SweepRecord, job: Any) -> str:
     """The command that trains this run again."""
     import shlex
 

@@ -111,10 +111,10 @@ def estimate(plan: Plan, rates: Rates, gemm: float | None = None) -> Estimate:
 def stored_rates(layout: Layout) -> dict[tuple[str, str, str], float]:
     """The median speed of the store's runs, by task, method and variant."""
     from rrmctl.store.reader import statuses
-    from rrmctl.store.records import State, read_sweeps
+    from rrmctl.store.records import State, readable_sweeps
 
     speeds: dict[tuple[str, str, str], list[float]] = defaultdict(list)
-    for sweep in read_sweeps(layout):
+    for sweep in readable_sweeps(layout)[0]:
         states = statuses(layout, sweep.jobs)
         for job in sweep.jobs:
             status = states[job.id]

@@ -11,7 +11,7 @@ runs/<id>/model.safetensors   the final networks
 sweeps/<experiment>/<variant>.json   what `run` was asked for
 aggregates/<experiment>.parquet      interquartile mean curves
 
-Whatever else lies in these folders (a copy, a note, a system's own files) is nobody's run or sweep and is not looked at.
+Whatever else lies in these folders (a copy, a note, a system's own files) is nobody's run or sweep and is ignored.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Whether the fields of a JSON object are there and of the right kind. A plain loop: statuses are read by the thousand."""
+"""Whether the fields of a JSON object are there and of the right kind. A plain loop: thousands are read at a time."""
 
 from __future__ import annotations
 

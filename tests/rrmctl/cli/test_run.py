@@ -23,7 +23,7 @@ from rrmctl.store import load, planned
 from rrmctl.store.atomic import try_lock
 from rrmctl.store.layout import Layout
 from rrmctl.store.reader import run_status
-from rrmctl.store.records import ErrorKind, RunError, State, Status, read_sweeps, write_status
+from rrmctl.store.records import ErrorKind, RunError, State, Status, read_status, read_sweeps, write_status
 from rrmctl.store.schema import TIMINGS
 from rrmctl.store.writer import CurveWriter
 from tests.rrmctl.running.standin import prepare, row
@@ -202,6 +202,98 @@ def test_show_what_is_not_there(tmp_path: Path) -> None:
     result = call("show", "zz", "--results", tmp_path)
     assert result.exit_code == 2
     assert "starts with 'zz'" in result.stderr
+
+
+def finished(root: Path) -> tuple[Layout, list[str]]:
+    """Two oracle runs of toy-car with their curves, asked for by `run`; the ids."""
+    ids = settle(root, State.DONE)
+    call("run", *PLAN, "--methods", "oracle", "--seeds", "2", "--results", root)
+    layout = Layout(root)
+    for run in ids:
+        folder = layout.run(run)
+        config = json.loads(folder.config.read_text())
+        curve = CurveWriter(folder, config | {"run": run})
+        for step in (10, 20):
+            curve.add(dataclasses.asdict(row(step, config["seed"])))
+        write_status(folder, dataclasses.replace(read_status(folder), rows=2))
+    return layout, ids
+
+
+def test_the_end_of_a_sweep_writes_its_aggregates(tmp_path: Path) -> None:
+    """The same file that `report iqm` writes."""
+    layout, _ = finished(tmp_path)
+    assert call("resume", "--results", tmp_path).exit_code == 0
+    path = layout.aggregate("toy-car")
+    told = path.read_bytes()
+    path.unlink()
+    assert call("report", "iqm", "toy-car", "--results", tmp_path).exit_code == 0
+    assert path.read_bytes() == told
+
+
+@pytest.mark.parametrize("command", ["run", "resume"])
+def test_a_done_run_without_its_curve_is_not_all_done(tmp_path: Path, command: str) -> None:
+    """It is named with the command that trains it again, and the exit code is 1."""
+    layout, ids = finished(tmp_path)
+    layout.run(ids[1]).curve.unlink()
+    plan = [*PLAN, "--methods", "oracle", "--seeds", "2"] if command == "run" else []
+    result = call(command, *plan, "--results", tmp_path)
+    assert result.exit_code == 1
+    assert "All done" not in result.stdout
+    assert f"{ids[1]}/curve.parquet is missing" in result.stdout
+    assert "rrmctl run toy-car --profile smoke --tasks toy-car --methods oracle --seeds 1," in result.stdout
+    assert "--force" in result.stdout
+
+
+def test_a_damaged_sweep_stops_only_its_own_experiment(tmp_path: Path) -> None:
+    """The others go on with one line that names it; asked for by name it is refused."""
+    layout, ids = finished(tmp_path)
+    prepare(tmp_path, range(1))
+    layout.sweep("stand-in", "smoke").write_text("{")
+    for command in (["run", *PLAN, "--methods", "oracle", "--seeds", "2"], ["status"], ["show", ids[0]]):
+        result = call(*command, "--results", tmp_path)
+        assert result.exit_code == 0, result.output
+        assert "stand-in/smoke.json cannot be read" in result.stderr
+        assert "`rrmctl run stand-in ...`" in result.stderr
+    result = call("status", "stand-in", "--results", tmp_path)
+    assert result.exit_code == 2
+    assert "`rrmctl run stand-in ...`" in result.stderr
+
+
+def test_show_tells_what_can_be_told(tmp_path: Path) -> None:
+    """Each damaged file is named in its place."""
+    layout, ids = finished(tmp_path)
+    folder = layout.run(ids[0])
+    for path in (folder.curve, folder.provenance, folder.config):
+        path.write_text("{")
+    result = call("show", ids[0], "--results", tmp_path)
+    assert result.exit_code == 0
+    assert "done, attempt 1" in result.stdout
+    for name in ("curve.parquet is damaged", "provenance.json cannot be read", "config.json cannot be read"):
+        assert name in result.stdout
+
+
+def test_a_damaged_configuration_of_a_done_run_stops_nothing(tmp_path: Path) -> None:
+    """`run` writes it anew and says so."""
+    layout, ids = finished(tmp_path)
+    layout.run(ids[0]).config.write_text("{")
+    result = call("run", *PLAN, "--methods", "oracle", "--seeds", "2", "--results", tmp_path)
+    assert result.exit_code == 0
+    assert "config.json.corrupt-1 and written anew" in result.stderr
+
+
+@pytest.mark.parametrize("command", [["run", *PLAN], ["status"], ["resume"], ["show", "a"]], ids=lambda c: c[0])
+def test_results_that_are_a_file(tmp_path: Path, command: list[str]) -> None:
+    """Said in these words."""
+    (tmp_path / "file").touch()
+    result = call(*command, "--results", tmp_path / "file")
+    assert result.exit_code == 2
+    assert "file is a file, not a folder" in result.stderr
+
+
+def test_one_run_is_one_run(tmp_path: Path) -> None:
+    """Not "1 runs"."""
+    prepare(tmp_path, range(1))
+    assert "1 queued of 1 run\n" in call("status", "--results", tmp_path).stdout
 
 
 def numbers(root: Path) -> str:
