@@ -21,7 +21,7 @@ import safetensors.numpy
 import torch
 
 from rrm.errors import CheckpointError, ConfigError
-from rrm.files import sync_folder, write_atomically
+from rrm.files import naming, sync_folder, write_atomically
 from rrm.types import State
 
 #: Of the layout written here; another version is refused with its number.
@@ -96,7 +96,7 @@ class AppendLog:
 
     def append(self, data: bytes) -> None:
         """Write `data` behind the bytes that count, durably."""
-        with self._path.open("r+b" if self._path.exists() else "w+b") as file:
+        with naming(self._path), self._path.open("r+b" if self._path.exists() else "w+b") as file:
             file.seek(self.size)
             file.truncate()
             file.write(data)

@@ -1,0 +1,39 @@
+"""Atomic writes."""
+
+import subprocess
+import sys
+
+import pytest
+
+from rrm.files import write_atomically
+
+
+def test_a_file_is_replaced_as_a_whole(tmp_path):
+    """New bytes stand where the old ones stood, and nothing else is left behind."""
+    path = tmp_path / "a"
+    for data in (b"old", b"newer"):
+        write_atomically(path, data)
+        assert path.read_bytes() == data
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_a_write_that_fails_names_the_file_and_leaves_the_old_one(tmp_path):
+    """A limit in the middle of the write: the error carries the path, the old content stays, no temporary file does."""
+    path = tmp_path / "a"
+    write_atomically(path, b"old")
+    script = (
+        "import resource, signal, sys; from pathlib import Path; from rrm.files import write_atomically\n"
+        "signal.signal(signal.SIGXFSZ, signal.SIG_IGN); resource.setrlimit(resource.RLIMIT_FSIZE, (1000, 1000))\n"
+        "try: write_atomically(Path(sys.argv[1]), bytes(5000))\n"
+        "except OSError as error: print(error.filename)"
+    )
+    done = subprocess.run([sys.executable, "-c", script, str(path)], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == str(path)
+    assert path.read_bytes() == b"old"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_a_missing_folder_is_an_error(tmp_path):
+    """The folder is the caller's to make."""
+    with pytest.raises(FileNotFoundError):
+        write_atomically(tmp_path / "none" / "a", b"")
