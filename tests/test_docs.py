@@ -7,8 +7,13 @@ import sys
 from pathlib import Path
 
 import pytest
+import typer
+
+from rrmctl.cli.app import app
+from rrmctl.planning.manifest import load
 
 ROOT = Path(__file__).parent.parent
+README = (ROOT / "README.md").read_text()
 PAGE = (ROOT / "docs" / "extending.md").read_text()
 SMOKE = ["--profile", "smoke", "--seeds", "1", "--workers", "1", "--set", "steps=450"]
 
@@ -56,3 +61,33 @@ def test_ones_own_prior_joins_an_experiment(workshop):
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
     assert "rrm-closer" in rrmctl(workshop, "report", "iqm", "toy-car", "--format", "csv").stdout
+
+
+def documented_commands():
+    """Every rrmctl command in the shell blocks of README and docs, as words."""
+    pages = [README, *(path.read_text() for path in sorted((ROOT / "docs").glob("*.md")))]
+    shell = "".join(block for page in pages for block in re.findall(r"```sh\n(.*?)```", page, re.DOTALL))
+    lines = [line.partition("#")[0].split() for line in shell.splitlines()]
+    return [words[1:] for words in lines if words[:1] == ["rrmctl"]]
+
+
+@pytest.mark.parametrize("words", documented_commands(), ids=" ".join)
+def test_documented_commands_exist(words):
+    """Commands and options in the pages are the program's."""
+    command = typer.main.get_command(app)
+    while words and words[0] in getattr(command, "commands", {}):
+        command, words = command.commands[words[0]], words[1:]
+    assert not getattr(command, "commands", None), f"unknown command {words[:1]}"
+    options = {option for parameter in command.params for option in parameter.opts}
+    assert {word for word in words if word.startswith("-")} <= options
+
+
+def test_the_readme_lists_the_experiments():
+    """The table of experiments names every manifest and its methods, and nothing else."""
+    rows = dict(re.findall(r"^\| `([a-z-]+)` \|.*\| (.*) \|$", README.split("| experiment |")[1], re.MULTILINE))
+    assert set(rows) == {path.stem for path in (ROOT / "experiments").glob("*.toml")}
+    for name, methods in rows.items():
+        planned = {method for grid in load(ROOT / "experiments" / f"{name}.toml").grids for method in grid.methods}
+        told = re.sub(r"rrm-\{the same\}", lambda _: "rrm-{proxy, o2g, h2o, sparse}", methods)
+        told = re.sub(r"(\w+-)\{(.*?)\}", lambda m: ", ".join(m[1] + n for n in m[2].split(", ")), told)
+        assert set(told.split(", ")) == planned, name
