@@ -7,6 +7,7 @@ with a canvas of their own, so that notebooks show them and nothing global chang
 from __future__ import annotations
 
 import io
+import itertools
 import math
 import textwrap
 from collections.abc import Sequence
@@ -185,8 +186,9 @@ def _legend_columns(labels: Sequence[str], width: float) -> int:
     """As many columns as fit into `width` inches, at the legend's font size of 8 points."""
     handle, letter, gap = 0.47, 0.058, 0.16
     for columns in range(len(labels), 1, -1):
-        rows = math.ceil(len(labels) / columns)
-        widest = [max(map(len, labels[start : start + rows])) for start in range(0, len(labels), rows)]
+        rows, longer = divmod(len(labels), columns)  # matplotlib gives its first columns one more
+        starts = [column * rows + min(column, longer) for column in range(columns + 1)]
+        widest = [max(map(len, labels[start:end])) for start, end in itertools.pairwise(starts)]
         if sum(handle + letter * letters + gap for letters in widest) - gap <= width:
             return columns
     return 1
