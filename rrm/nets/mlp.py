@@ -36,16 +36,6 @@ class Tape:
     outputs: Tensor  #: [N, B, out], stored as [N, out, B]
     deltas: tuple[Tensor, Tensor]  #: [N, B, hidden], used in turns
 
-    def rows(self, rows: slice) -> Tape:
-        """The same pass as if only these rows had been put in."""
-        first, second = self.deltas
-        return Tape(
-            inputs=self.inputs[:, rows],
-            hidden=[h[:, rows] for h in self.hidden],
-            outputs=self.outputs[:, rows],
-            deltas=(first[:, rows], second[:, rows]),
-        )
-
 
 class StackedMLP:
     """`members` MLPs `inputs -> hidden (x layers) -> outputs`, without a non-linearity at the end.
@@ -81,7 +71,7 @@ class StackedMLP:
         shapes[-2] = (outputs, self.widths[-2])
         size = sum(_padded(members * math.prod(shape)) for shape in shapes)
         self.flat = torch.zeros(size, device=device)  #: all parameters; the padding between them stays zero
-        self.flat_grad = torch.zeros_like(self.flat)  #: their gradients, filled by `backward_params` or by autograd
+        self.flat_grad = torch.zeros_like(self.flat)  #: their gradients, filled by `backward_params`
         self._params = self._windows(self.flat, shapes)
         self._grads = self._windows(self.flat_grad, shapes)
         self._leaves = [p.detach().requires_grad_() for p in self._params]
@@ -130,12 +120,6 @@ class StackedMLP:
     def parameters(self) -> list[Tensor]:
         """Leaves for autograd that share memory with `flat`: `[W0, b0, W1, b1, ...]`, W [N, in, out], b [N, 1, out]."""
         return self._leaves
-
-    def collect_grads(self) -> None:
-        """Zero the gradients and make autograd accumulate into `flat_grad`."""
-        self.flat_grad.zero_()
-        for leaf, grad in zip(self._leaves, self._grads, strict=True):
-            leaf.grad = grad
 
     def __call__(self, x: Tensor, params: Sequence[Tensor] | None = None) -> Tensor:
         """Differentiable outputs.
