@@ -40,14 +40,14 @@ def squashed_gaussian_log_prob(noise: Tensor, log_std: Tensor, pre_tanh: Tensor)
     """Log density of the action `tanh(pre_tanh)`, where `pre_tanh = mean + exp(log_std) * noise` and noise is N(0, 1).
 
     The log-determinant of tanh, log(1 - tanh(x)^2), is taken as 2 (ln 2 - x - softplus(-2 x)), which stays finite where
-    tanh rounds to one.
+    tanh rounds to one. `softplus(x, beta=-2)` is -softplus(-2 x) / 2.
 
     Args:
-        noise, log_std, pre_tanh: float32 [B, A].
+        noise, log_std, pre_tanh: float32 [A, B].
 
     Returns:
         float32 [B], nats, summed over the A dimensions.
     """
-    gaussian = -0.5 * noise.square() - log_std - _LOG_SQRT_2PI
-    log_det = 2 * (math.log(2) - pre_tanh - softplus(-2 * pre_tanh))
-    return (gaussian - log_det).sum(dim=-1)
+    log_cosh = pre_tanh.sub(softplus(pre_tanh, beta=-2), alpha=2)  # and ln 2 more
+    spread = log_std.add(noise.square(), alpha=0.5)
+    return log_cosh.mul_(2).sub_(spread).sum(dim=0).sub_(len(noise) * (_LOG_SQRT_2PI + 2 * math.log(2)))

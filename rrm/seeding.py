@@ -1,8 +1,9 @@
 """One seed becomes named, independent random streams, each of which can be saved.
 
 One more draw in one place must not shift the others, so every purpose has a stream of its own. The streams in use:
-`env` (resets), `explore` (random and policy actions), `agent` (update noise), `replay` (batches), `init` (weights),
-`reward` (minibatches of reward learning), `query` (segment pairs), `teacher` (label noise), `prior` (random priors).
+`env` (resets), `explore` (random and policy actions), `agent` (update noise), `replay` (batches), `init` and
+`reward-init` (weights of the agent and of the reward), `reward` (minibatches of reward learning), `query` (segment
+pairs), `teacher` (label noise), `prior` (random priors).
 Evaluation draws from `evaluation_seed` and never from a stream of training.
 """
 

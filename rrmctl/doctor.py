@@ -15,6 +15,7 @@ from importlib import metadata
 from pathlib import Path
 from typing import Literal
 
+from rrm.precision import extensions
 from rrmctl.machine import cpu_model, usable_cores
 
 DISTRIBUTION = "rrmctl"
@@ -120,15 +121,13 @@ def threads() -> Check:
 
 
 def precision(cpuinfo: Path = Path("/proc/cpuinfo")) -> Check:
-    """Float32 is what runs compute in; which faster formats this processor has is worth knowing."""
-    try:
-        text = cpuinfo.read_text(errors="replace")
-    except OSError:
+    """Float32 is what runs compute in unless told otherwise; bfloat16 is faster where the processor has it."""
+    flags = extensions(cpuinfo)
+    if not flags:
         return Check("precision", "ok", "float32; this system does not tell its vector extensions")
-    lines = (line for line in text.splitlines() if line.startswith(("flags", "Features")))
-    flags = set(next(lines, "").partition(":")[2].split())
     there = [name for name in ("avx2", "avx512f", "avx512_bf16", "amx_bf16", "asimd", "bf16") if name in flags]
-    return Check("precision", "ok", f"float32; vector extensions: {', '.join(there) or 'none known'}")
+    offered = "float32 or bfloat16" if "amx_bf16" in flags else "float32"
+    return Check("precision", "ok", f"{offered}; vector extensions: {', '.join(there) or 'none known'}")
 
 
 def folders(results: Path, experiments: Path) -> Iterator[Check]:

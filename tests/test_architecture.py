@@ -33,8 +33,8 @@ KNOW_RRM = {
     *("running.runfile", "running.worker"),  # a configuration's way into the process that trains
     "cli.app",  # errors become messages
 }
-#: Light, and the one place for what they say: tasks and how they are scored, errors, durable writes.
-FACTS = {"rrm.envs.tasks", "rrm.errors", "rrm.files"}
+#: Light, and the one place for what they say: tasks and how they are scored, errors, durable writes, arithmetic.
+FACTS = {"rrm.envs.tasks", "rrm.errors", "rrm.files", "rrm.precision"}
 
 #: Floors of `rrm`: a module imports from floors below its own, or from its own package.
 FLOORS = {

@@ -26,8 +26,11 @@ if TYPE_CHECKING:
 
     from rrm.config import AgentConfig
     from rrm.interfaces import Floats
+    from rrm.precision import Precision
     from rrm.seeding import Streams
     from rrm.types import Batch, State
+
+tanh_backward = torch.ops.aten.tanh_backward
 
 LOG_STD_MIN, LOG_STD_MAX = -5.0, 2.0
 _HALF_RANGE = 0.5 * (LOG_STD_MAX - LOG_STD_MIN)
@@ -35,14 +38,15 @@ _FIGURES = ("critic_loss", "actor_loss", "entropy", "alpha")
 
 
 class _Sample:
-    """Actions drawn from the actor's output, and what their gradient needs. Fields are float32 [B, A]."""
+    """Actions drawn from the actor's output, and what their gradient needs. Fields are float32 [A, B]."""
 
     def __init__(self, head: Tensor, noise: Tensor) -> None:
-        mean, raw = head.chunk(2, dim=-1)
-        self.squash = torch.tanh(raw)
+        """Args: head: the actor's output, [2 A, B]; noise: standard normal, [A, B]."""
+        mean, raw = head.chunk(2)
         self.noise = noise
-        self.log_std = LOG_STD_MIN + _HALF_RANGE * (self.squash + 1)
-        self.spread = self.log_std.exp() * noise
+        self.squash = torch.tanh(raw)
+        self.log_std = self.squash.add(1).mul_(_HALF_RANGE).add_(LOG_STD_MIN)
+        self.spread = self.log_std.exp().mul_(noise)
         self.pre_tanh = mean + self.spread
         self.act = torch.tanh(self.pre_tanh)
 
@@ -50,32 +54,47 @@ class _Sample:
         """Log density of the actions, float32 [B]."""
         return squashed_gaussian_log_prob(self.noise, self.log_std, self.pre_tanh)
 
-    def backward(self, grad_act: Tensor, grad_log_prob: Tensor) -> Tensor:
-        """Gradient in the actor's output, [B, 2 A], of a loss with these gradients in the action and its log density.
+    def backward(self, grad_act: Tensor, grad_log_prob: Tensor, rows: slice) -> Tensor:
+        """Gradient in these rows of the actor's output, [2 A, rows], of a loss with these gradients in their actions
+        [A, rows] and in their log densities (one number for all).
 
         With the noise held fixed, d log_prob / d pre_tanh = 2 act (all of it from the log-determinant, the Gaussian's
         part cancels) and d log_prob / d log_std = -1 besides its effect on pre_tanh.
         """
-        grad_mean = grad_act * (1 - self.act.square()) + 2 * grad_log_prob * self.act
-        grad_log_std = grad_mean * self.spread - grad_log_prob
-        return torch.cat((grad_mean, _HALF_RANGE * grad_log_std * (1 - self.squash.square())), dim=-1)
+        act, squash = self.act[:, rows], self.squash[:, rows]
+        grad_mean = tanh_backward(grad_act, act).addcmul_(grad_log_prob, act, value=2)
+        grad_log_std = (grad_mean * self.spread[:, rows]).sub_(grad_log_prob)
+        return torch.cat((grad_mean, tanh_backward(grad_log_std, squash).mul_(_HALF_RANGE)))
 
 
 class _Workspace:
-    """Everything that updates with batches of one size write into."""
+    """Everything that updates with batches of one size write into.
+
+    The inputs of all networks lie in three blocks of rows: next observations with sampled actions, observations with
+    sampled actions, observations with the actions taken. The actor reads the observations of the first two at once.
+    """
 
     def __init__(self, actor: StackedMLP, critic: StackedMLP, batch: int) -> None:
+        obs_dim, width = actor.widths[0], critic.widths[0]
         device = actor.flat.device
-        self.actor = actor.tape(batch)
+        # Matrix libraries may round differently where memory is aligned differently: inputs are copied to one place,
+        # and their rows start on cache lines.
+        blocks = torch.empty(3 * batch, -(-width // 16) * 16, device=device)[:, :width]
+        self.following, self.imagined, self.taken = torch.split(blocks, batch)
+        both = blocks[: 2 * batch]
+        self.obs, self.sampled = both[:, :obs_dim], both[:, obs_dim:].t()
+        self.noise = torch.empty(width - obs_dim, 2 * batch, device=device)
+        self.next_rows, self.rows = slice(batch), slice(batch, None)  #: of what was sampled
+        self.actor = actor.tape(2 * batch)
         self.critic = critic.tape(batch)
-        self.noise = torch.empty(batch, actor.widths[-1] // 2, device=device)
-        # Matrix libraries may round differently where memory is aligned differently: inputs are copied to one place.
-        self.obs = torch.empty(batch, actor.widths[0], device=device)
-        self._obs_act = torch.empty(batch, critic.widths[0], device=device)
 
-    def join(self, obs: Tensor, act: Tensor) -> Tensor:
-        """The critic's input [B, O + A], valid until the next call."""
-        return torch.cat((obs, act), dim=-1, out=self._obs_act)
+    def fill(self, batch: Batch) -> None:
+        """Take in a batch, all but the sampled actions."""
+        obs_dim = self.obs.shape[1]
+        self.following[:, :obs_dim].copy_(batch.next_obs)
+        self.imagined[:, :obs_dim].copy_(batch.obs)
+        self.taken[:, :obs_dim].copy_(batch.obs)
+        self.taken[:, obs_dim:].copy_(batch.act)
 
 
 class Sac:
@@ -85,20 +104,34 @@ class Sac:
         config: sizes, step sizes, discount and target rate.
         obs_dim, act_dim: features of an observation, dimensions of an action.
         streams: `init` draws weights, `agent` the noise of updates, `explore` the noise of actions taken.
+        precision: of products between hidden layers (`rrm.nets.precision`).
         device: where everything is computed.
     """
 
-    def __init__(self, config: AgentConfig, obs_dim: int, act_dim: int, streams: Streams, device: str = "cpu") -> None:
+    def __init__(
+        self,
+        config: AgentConfig,
+        obs_dim: int,
+        act_dim: int,
+        streams: Streams,
+        *,
+        precision: Precision = "float32",
+        device: str = "cpu",
+    ) -> None:
         self.config = config
         self.obs_dim, self.act_dim = obs_dim, act_dim
         self.updates = 0  #: finished updates
         self._init = streams.torch("init", device)
         self._noise = streams.torch("agent", device)
         self._explore = streams.torch("explore", device)
-        sizes = (config.hidden, config.layers)
-        self.actor = StackedMLP(1, obs_dim, *sizes, 2 * act_dim, generator=self._init, device=device)
-        self.critic = StackedMLP(2, obs_dim + act_dim, *sizes, 1, generator=self._init, device=device)
-        self.target = StackedMLP(2, obs_dim + act_dim, *sizes, 1, generator=None, device=device)
+
+        def stack(members: int, inputs: int, outputs: int, generator: torch.Generator | None) -> StackedMLP:
+            shape = (members, inputs, config.hidden, config.layers, outputs)
+            return StackedMLP(*shape, generator=generator, precision=precision, device=device)
+
+        self.actor = stack(1, obs_dim, 2 * act_dim, self._init)
+        self.critic = stack(2, obs_dim + act_dim, 1, self._init)
+        self.target = stack(2, obs_dim + act_dim, 1, None)
         self.target.flat.copy_(self.critic.flat)
         self.log_alpha = torch.full((1,), math.log(config.initial_alpha), device=device)
         self._log_alpha_grad = torch.zeros_like(self.log_alpha)
@@ -119,11 +152,11 @@ class Sac:
         row = torch.tensor(obs, dtype=torch.float32, device=self.actor.flat.device).unsqueeze(0)
         head = self.actor.forward(row, self._acting)[0]
         if explore:
-            noise = torch.randn(1, self.act_dim, generator=self._explore, device=head.device)
+            noise = torch.randn(self.act_dim, 1, generator=self._explore, device=head.device)
             act = _Sample(head, noise).act
         else:
-            act = torch.tanh(head[:, : self.act_dim])
-        action: Floats = act[0].clamp_(-1, 1).cpu().numpy()
+            act = torch.tanh(head[: self.act_dim])
+        action: Floats = act[:, 0].clamp_(-1, 1).cpu().numpy()
         if not np.isfinite(action).all():
             raise NumericalError(
                 f"the action after {self.updates} updates is {action.tolist()} for the observation {obs.tolist()}; "
@@ -134,46 +167,52 @@ class Sac:
     @torch.no_grad()
     def update(self, batch: Batch) -> None:
         """One step of critic, actor and temperature; the target follows every second time, the first included."""
-        if len(self._space.obs) != len(batch.reward):
+        if len(self._space.taken) != len(batch.reward):
             self._space = _Workspace(self.actor, self.critic, len(batch.reward))
         alpha = self.log_alpha.exp()
-        critic_loss = self._update_critic(batch, alpha)
-        actor_loss, entropy = self._update_actor(batch, alpha)
+        sample, log_prob = self._sample(batch)
+        critic_loss = self._update_critic(batch, log_prob, alpha)
+        actor_loss, entropy = self._update_actor(sample, log_prob, alpha)
         self._update_alpha(entropy, alpha)
         if self.updates % self.config.target_every == 0:
             self.target.flat.lerp_(self.critic.flat, self.config.tau)
         torch.stack((critic_loss, actor_loss, entropy, alpha.squeeze()), out=self._figures)
         self.updates += 1
 
-    def _sample(self, obs: Tensor) -> _Sample:
-        head = self.actor.forward(self._space.obs.copy_(obs), self._space.actor)[0]
-        return _Sample(head, self._space.noise.normal_(generator=self._noise))
+    def _sample(self, batch: Batch) -> tuple[_Sample, Tensor]:
+        """Actions for the next observations and the present ones, with their log densities, both in this order.
 
-    def _update_critic(self, batch: Batch, alpha: Tensor) -> Tensor:
+        One pass serves both: the actor changes only after either was used.
+        """
+        space = self._space
+        space.fill(batch)
+        head = self.actor.forward(space.obs, space.actor)[0]
+        sample = _Sample(head, space.noise.normal_(generator=self._noise))
+        space.sampled.copy_(sample.act)
+        return sample, sample.log_prob()
+
+    def _update_critic(self, batch: Batch, log_prob: Tensor, alpha: Tensor) -> Tensor:
         """Regress both critics on the soft value of the next state; returns the sum of their mean squared errors."""
         space = self._space
-        following = self._sample(batch.next_obs)
-        q_next = self.target.forward(space.join(batch.next_obs, following.act), space.critic).squeeze(-1)
-        value = torch.minimum(q_next[0], q_next[1]) - alpha * following.log_prob()
-        q_target = batch.reward + self.config.discount * batch.continues * value
-        q = self.critic.forward(space.join(batch.obs, batch.act), space.critic).squeeze(-1)
-        error = q - q_target
-        self.critic.backward_params((error * (2 / len(q_target))).unsqueeze(-1), space.critic)
+        q_next = self.target.forward(space.following, space.critic).squeeze(1)
+        value = torch.minimum(q_next[0], q_next[1]).addcmul_(alpha, log_prob[space.next_rows], value=-1)
+        q_target = batch.reward.addcmul(batch.continues, value, value=self.config.discount)
+        error = self.critic.forward(space.taken, space.critic).squeeze(1) - q_target
+        self.critic.backward_params((error * (2 / len(q_target))).unsqueeze(1), space.critic)
         self._critic_adam.step()
         return error.square().sum() / len(q_target)
 
-    def _update_actor(self, batch: Batch, alpha: Tensor) -> tuple[Tensor, Tensor]:
+    def _update_actor(self, sample: _Sample, log_prob: Tensor, alpha: Tensor) -> tuple[Tensor, Tensor]:
         """Ascend the smaller Q plus entropy; returns the loss and the estimate of the entropy."""
         space = self._space
-        sample = self._sample(batch.obs)
-        q = self.critic.forward(space.join(batch.obs, sample.act), space.critic)
-        share = -1 / q.shape[1]
+        q = self.critic.forward(space.imagined, space.critic)
+        share = -1 / q.shape[-1]
         grad_q = torch.stack((q[0] <= q[1], q[0] > q[1])) * share  # only the smaller critic is asked
         grad_act = self.critic.backward_inputs(grad_q, space.critic, slice(self.obs_dim, None))
-        grad_head = sample.backward(grad_act.sum(dim=0), -share * alpha)
-        self.actor.backward_params(grad_head.unsqueeze(0), space.actor)
+        grad_head = sample.backward(grad_act.sum(dim=0), -share * alpha, space.rows)
+        self.actor.backward_params(grad_head.unsqueeze(0), space.actor.second_half())
         self._actor_adam.step()
-        entropy = -sample.log_prob().mean()
+        entropy = -log_prob[space.rows].mean()
         return -alpha.squeeze() * entropy - torch.minimum(q[0], q[1]).mean(), entropy
 
     def _update_alpha(self, entropy: Tensor, alpha: Tensor) -> None:
@@ -194,7 +233,7 @@ class Sac:
             obs, act: observations and actions.
             params: in place of `critic.parameters()`, for learners that look one step of the critic ahead.
         """
-        return self.critic(torch.cat((obs, act), dim=-1), params).squeeze(-1)
+        return self.critic.plain(torch.cat((obs, act), dim=-1), params).squeeze(1)
 
     def metrics(self) -> dict[str, float]:
         """`critic_loss`, `actor_loss`, `entropy` (nats) and `alpha` of the last update; NaN before the first."""

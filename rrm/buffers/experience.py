@@ -29,7 +29,8 @@ _STEP, _TERMINATED, _TRUNCATED, _END = (
     2,
     3,
 )  # what a row is; _END is the observation behind an episode's last step
-_RELABEL_ROWS = 1 << 14  # keeps the activations of the reward ensemble within the caches' reach
+_RELABEL_ROWS = 1 << 11  # keeps the activations of the reward ensemble within the caches' reach
+_SPARE_NEIGHBOURS = 4  # candidates beyond the k nearest, for those that rounding puts in the wrong order
 
 
 @dataclass(frozen=True)
@@ -148,10 +149,15 @@ class Experience:
         section 4.1).
         """
         stored = self.obs[: self.rows]
-        distance = torch.cdist(obs, stored, compute_mode="use_mm_for_euclid_dist")
+        # A matrix product finds the candidates; it loses the digits of small distances, so theirs are taken again.
+        center = obs.mean(dim=0)
+        distance = torch.cdist(obs - center, stored - center, compute_mode="use_mm_for_euclid_dist")
         distance[:, [e.start + e.length for e in self.episodes]] = torch.inf  # not states of a transition
-        nearest = distance.topk(min(k + 1, self.transitions), largest=False, sorted=True)
-        return nearest.values[:, -1]
+        rank = min(k, self.transitions - 1)
+        candidates = min(rank + 1 + _SPARE_NEIGHBOURS, self.transitions)
+        nearest = distance.topk(candidates, largest=False, sorted=False).indices
+        exact = (stored[nearest] - obs.unsqueeze(1)).square().sum(dim=-1).sqrt()
+        return exact.sort(dim=-1).values[:, rank]
 
     def since(self, transition: int) -> Tensor:
         """Rows of the transitions from number `transition` on."""

@@ -7,23 +7,25 @@ from torch import Tensor
 
 from rrm.config import RewardConfig
 from rrm.nets.mlp import StackedMLP
+from rrm.precision import Precision
 from rrm.types import Segments, State
 
 
 class BoundedEnsemble:
     """N independent networks with outputs in (-1, 1) (appendix "Model structure")."""
 
-    def __init__(self, config: RewardConfig, inputs: int, generator: torch.Generator) -> None:
+    def __init__(
+        self, config: RewardConfig, inputs: int, generator: torch.Generator, precision: Precision = "float32"
+    ) -> None:
         self.net = StackedMLP(
             config.members, inputs, config.hidden, config.layers, 1,
-            activation="leaky_relu", init="torch", generator=generator,
+            activation="leaky_relu", init="torch", generator=generator, precision=precision,
         )  # fmt: skip
 
     def __call__(self, x: Tensor) -> Tensor:
         """Outputs [N, B, T] for inputs [B, T, D] shared by the members, or [N, B, T, D] of their own."""
         shape = x.shape[-3:-1]
-        flat = x.flatten(-3, -2)
-        return torch.tanh(self.net(flat)).view(-1, *shape)
+        return torch.tanh(self.net(x.flatten(-3, -2))).view(-1, *shape)
 
 
 class EnsembleReward:
@@ -31,8 +33,15 @@ class EnsembleReward:
 
     extra_inputs = 0  #: beside state and action
 
-    def __init__(self, config: RewardConfig, obs_dim: int, act_dim: int, generator: torch.Generator) -> None:
-        self._ensemble = BoundedEnsemble(config, obs_dim + act_dim + self.extra_inputs, generator)
+    def __init__(
+        self,
+        config: RewardConfig,
+        obs_dim: int,
+        act_dim: int,
+        generator: torch.Generator,
+        precision: Precision = "float32",
+    ) -> None:
+        self._ensemble = BoundedEnsemble(config, obs_dim + act_dim + self.extra_inputs, generator, precision)
 
     def members(self, segments: Segments) -> Tensor:
         return self._ensemble(torch.cat([segments.obs, segments.act], dim=-1))

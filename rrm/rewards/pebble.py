@@ -18,6 +18,8 @@ from rrm.interfaces import Agent, Feedback, RewardFunction
 from rrm.losses import preference_logit, preference_loss
 from rrm.types import Batch, Segments, State
 
+_PAIRS_AT_ONCE = 16
+
 
 class Pebble:
     """Cross-entropy of the Bradley-Terry model, every member with its own order of the labels."""
@@ -51,20 +53,29 @@ class Pebble:
     def _epoch(self, feedback: Feedback) -> tuple[float, float]:
         members, count = self.config.members, len(feedback)
         order = torch.from_numpy(np.stack([self._rng.permutation(count) for _ in range(members)]))
-        right, decided, total = 0.0, 0.0, 0.0
+        figures = torch.zeros(3)
         for index in torch.split(order, self.config.minibatch, dim=1):
-            first, second, target = feedback.pairs(index)
-            logit = self._logits(first, second)
-            loss = preference_loss(logit, target)
             self._optimizer.zero_grad(set_to_none=True)
-            loss.backward()  # type: ignore[no-untyped-call]
+            # The gradient of a minibatch is the sum over its parts, which fit into the caches.
+            for part in torch.split(index, _PAIRS_AT_ONCE, dim=1):
+                figures += self._accumulate(feedback, part, part.shape[1] / index.shape[1])
             self._optimizer.step()
-            with torch.no_grad():
-                clear = target != 0.5
-                right += float(((logit > 0) == (target > 0.5))[clear].sum())
-                decided += float(clear.sum())
-                total += float(loss) * index.shape[1]
+        right, decided, total = figures.tolist()
         return right / decided if decided else float("nan"), total / count
+
+    def _accumulate(self, feedback: Feedback, index: Tensor, share: float) -> Tensor:
+        """Add a part's gradient to that of its minibatch, of which it is this share.
+
+        Returns:
+            Pairs told right and pairs without a tie, over all members, and the summed loss.
+        """
+        first, second, target = feedback.pairs(index)
+        logit = self._logits(first, second)
+        loss = preference_loss(logit, target)
+        (loss * share).backward()  # type: ignore[no-untyped-call]
+        clear = target != 0.5
+        right = ((logit.detach() > 0) == (target > 0.5)) & clear
+        return torch.stack((right.sum(), clear.sum(), loss.detach() * index.shape[1]))
 
     def _logits(self, first: Segments, second: Segments) -> Tensor:
         both = Segments(*(torch.cat([a, b], dim=1) for a, b in zip(first, second, strict=True)))

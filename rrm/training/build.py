@@ -23,7 +23,7 @@ def build_reward(config: RunConfig, generator: torch.Generator) -> RewardFunctio
     """The learned reward: a residual on the prior where there is one, else a network alone."""
     reward = ResidualReward if config.reward.prior is not None else EnsembleReward
     spec = config.spec()
-    return reward(config.reward, spec.obs_dim, spec.act_dim, generator)
+    return reward(config.reward, spec.obs_dim, spec.act_dim, generator, config.precision)
 
 
 def build_sessions(config: RunConfig, experience: Experience, streams: Streams) -> Sessions | None:
@@ -37,7 +37,7 @@ def build_sessions(config: RunConfig, experience: Experience, streams: Streams) 
     assert config.feedback is not None  # the configuration has checked both
     assert config.teacher is not None
     learner_class = lookup(LEARNERS, "learner", config.reward.learner)
-    learner = learner_class(build_reward(config, streams.torch("init")), config.reward, streams.numpy("reward"))
+    learner = learner_class(build_reward(config, streams.torch("reward-init")), config.reward, streams.numpy("reward"))
     return Sessions(
         config, config.feedback,
         experience=experience, learner=learner, rng=streams.numpy("query"),

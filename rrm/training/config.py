@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from typing import Any, Literal, Self, TypeVar
+from typing import Any, Self, TypeVar
 
 from pydantic import model_validator
 
@@ -25,6 +25,7 @@ from rrm.config import (
 )
 from rrm.envs.tasks import TASKS, Task, task
 from rrm.errors import ConfigError, UnknownNameError
+from rrm.precision import PrecisionSetting
 from rrm.priors import check_prior
 from rrm.registry import check_file, is_file_reference, source_digest
 from rrm.rewards import LEARNERS
@@ -32,7 +33,7 @@ from rrm.rewards import LEARNERS
 _S = TypeVar("_S", bound=Section)
 
 #: Raised by one when the same configuration would give other numbers than before.
-CONFIG_VERSION = 1
+CONFIG_VERSION = 2
 
 
 class RunConfig(Section):
@@ -49,7 +50,7 @@ class RunConfig(Section):
     teacher: TeacherConfig | None = TeacherConfig()  #: likewise
     exploration: ExplorationConfig = ExplorationConfig()
     evaluation: EvaluationConfig = EvaluationConfig()
-    precision: Literal["float32"] = "float32"
+    precision: PrecisionSetting = "float32"  #: of products between hidden layers; "auto" is this machine's fastest
     threads: Count = 1  #: of torch; another number may round differently
 
     @model_validator(mode="after")

@@ -20,6 +20,7 @@ from rrm.buffers.experience import Experience
 from rrm.envs import make
 from rrm.errors import NumericalError
 from rrm.interfaces import Floats
+from rrm.nets.precision import check_precision
 from rrm.seeding import Streams, evaluation_seed
 from rrm.training.build import build_prior, build_sessions
 from rrm.training.config import RunConfig
@@ -56,13 +57,14 @@ class Trainer:
     """All the state of one run. `advance` takes one environment step; rows are asked for with `evaluate`."""
 
     def __init__(self, config: RunConfig) -> None:
+        check_precision(config.precision)
         spec = config.spec()
         self.config = config
         self.step = 0
         self.streams = Streams(config.seed)
         self.env = make(config.task, horizon=config.horizon)
         self._eval_env = make(config.task, horizon=config.horizon)
-        self.agent = Sac(config.agent, spec.obs_dim, spec.act_dim, self.streams)
+        self.agent = Sac(config.agent, spec.obs_dim, spec.act_dim, self.streams, precision=config.precision)
         self.experience = Experience(config.steps, spec.obs_dim, spec.act_dim)
         self.prior = build_prior(config, self.streams)
         self.sessions = build_sessions(config, self.experience, self.streams)

@@ -71,5 +71,5 @@ def test_vector_extensions(tmp_path: Path) -> None:
     """Formats the processor computes in are read from the system's description, where it has one."""
     info = tmp_path / "cpuinfo"
     info.write_text("processor\t: 0\nflags\t\t: fpu sse2 avx2 amx_bf16\n")
-    assert doctor.precision(info).found == "float32; vector extensions: avx2, amx_bf16"
+    assert doctor.precision(info).found == "float32 or bfloat16; vector extensions: avx2, amx_bf16"
     assert "does not tell" in doctor.precision(tmp_path / "absent").found

@@ -70,7 +70,7 @@ def test_equals_textbook(obs: int, act: int, hidden: int, layers: int, rows: int
     draws.set_state(streams.torch("agent").get_state())
     for update in range(4):
         batch = make_batch(rows, obs, act, seed + update)
-        noise_next, noise = (torch.empty(rows, act).normal_(generator=draws) for _ in range(2))
+        noise_next, noise = torch.empty(act, 2 * rows).normal_(generator=draws).t().split(rows)
         expected = plain.update(batch, noise_next, noise)
         sac.update(batch)
         assert expected == pytest.approx(sac.metrics(), rel=1e-4, abs=1e-5)

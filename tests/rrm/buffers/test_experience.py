@@ -76,7 +76,21 @@ def test_neighbour_distance_is_the_brute_force_one():
     states = torch.tensor([[e, t] for e, n in ((0, 5), (1, 3)) for t in range(n)], dtype=torch.float32)
     query = states[:3]
     wanted = torch.stack([(states - q).norm(dim=1).sort().values[2] for q in query])
-    assert torch.allclose(wanted, experience.neighbour_distance(query, 2), atol=1e-3)
+    assert torch.allclose(wanted, experience.neighbour_distance(query, 2))
+
+
+def test_small_neighbour_distances_keep_their_digits():
+    """States a hair apart and far from the origin, where a matrix product would only see rounding."""
+    generator = torch.Generator().manual_seed(0)
+    states = 100 + 1e-3 * torch.randn(300, 2, generator=generator)
+    experience = Experience(300, 2, 1)
+    for t, (obs, following) in enumerate(zip(states, states.roll(-1, 0), strict=True)):
+        experience.append(
+            obs=obs.numpy(), act=np.zeros(1, np.float32), prior=0.0, raw_prior=0.0, reward=0.0, true_reward=0.0,
+            next_obs=following.numpy(), terminated=False, truncated=t == 299,
+        )  # fmt: skip
+    exact = (states[:, None] - states).double().norm(dim=-1).sort(dim=-1).values[:, 3].float()
+    torch.testing.assert_close(experience.neighbour_distance(states, 3), exact)
 
 
 @given(lengths, st.integers(0, 4), st.integers(1, 4), st.booleans())

@@ -51,18 +51,20 @@ def test_equals_linear_layers(shape: dict[str, int], rows: int, shared: bool, se
         torch.testing.assert_close(ours, theirs, rtol=1e-4, atol=1e-5 + 1e-5 * theirs.abs().max().item())
 
     tape = net.tape(rows)
-    close(expected.detach(), net.forward(x, tape))
-    close(own.grad[..., columns], net.backward_inputs(grad, tape, columns))
-    net.backward_params(grad, tape)
+    close(expected.detach(), net.forward(x, tape).transpose(1, 2))
+    narrow = grad.transpose(1, 2)
+    close(own.grad[..., columns], net.backward_inputs(narrow, tape, columns).transpose(1, 2))
+    net.backward_params(narrow, tape)
     written_out = net.flat_grad.clone()
     close(expected_grad, unstacked_grads(net, shape))
 
-    differentiable = net(x)
-    close(expected.detach(), differentiable.detach())
-    for window, leaf in zip(net._grads, torch.autograd.grad(differentiable, net.parameters(), grad), strict=True):
-        window.copy_(leaf)
-    close(written_out, net.flat_grad)
-    close(expected_grad, unstacked_grads(net, shape))
+    for differentiable in (net, net.plain):
+        outputs = differentiable(x)
+        close(expected.detach(), outputs.detach().transpose(1, 2))
+        for window, leaf in zip(net._grads, torch.autograd.grad(outputs, net.parameters(), narrow), strict=True):
+            window.copy_(leaf)
+        close(written_out, net.flat_grad)
+        close(expected_grad, unstacked_grads(net, shape))
 
 
 def unstacked_grads(net: StackedMLP, shape: dict[str, int]) -> Tensor:
@@ -76,10 +78,10 @@ def test_given_params_are_differentiable_twice() -> None:
     net = make()
     x, target = torch.randn(5, 7), torch.tensor(0.5, requires_grad=True)
     params = [p.detach().requires_grad_() for p in net.parameters()]
-    inner = (net(x, params) - target).square().mean()
+    inner = (net.plain(x, params) - target).square().mean()
     steps = torch.autograd.grad(inner, params, create_graph=True)
     stepped = [p - 0.1 * s for p, s in zip(params, steps, strict=True)]
-    net(x, stepped).sum().backward()
+    net.plain(x, stepped).sum().backward()
     assert target.grad is not None
     assert target.grad.abs() > 0
     assert all(p.grad is None for p in net.parameters())

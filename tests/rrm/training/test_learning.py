@@ -14,7 +14,7 @@ def run(reward, steps):
         profile="test", task="toy-car", seed=0, steps=steps, reward=reward,
         agent=AgentConfig(hidden=64, layers=2, batch=64, **RATE),
         feedback=FeedbackConfig(every=500, batch=20, budget=400, segment=25),
-        exploration=ExplorationConfig(seed_steps=500), evaluation=EvaluationConfig(every=2000, episodes=20),
+        exploration=ExplorationConfig(seed_steps=500), evaluation=EvaluationConfig(every=1000, episodes=20),
     )  # fmt: skip
 
 
@@ -31,7 +31,7 @@ def test_it_reaches_the_goal(recorder, tmp_path, reward, steps):
     """With the true reward, or a prior and 400 answers, most episodes end in success."""
     monitor = recorder()
     train(run(reward, steps), tmp_path, monitor)
-    assert monitor.rows[2000].success < 0.5
+    assert monitor.rows[1000].true_return < 0 < 40 < max(row.true_return for row in monitor.rows.values())
     assert max(row.success for row in monitor.rows.values()) >= 0.7
 
 

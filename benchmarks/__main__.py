@@ -1,0 +1,63 @@
+"""All benchmarks, one table: `python -m benchmarks [NAME ...]`, or `make bench`.
+
+A benchmark is a module of this folder with a function `lines()` and an entry below. Peers come with the extra `bench`;
+where one is not installed its column stays empty.
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import json
+import platform
+import sys
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+
+from rich.console import Console
+from rich.table import Table
+
+from benchmarks.lines import Line
+
+#: In the order of the table; everything runs on one core unless its module says otherwise.
+BENCHMARKS = ("sac_update", "reward_learning", "training_loop", "bootstrap", "commands", "sweep")
+
+
+def table(lines: Sequence[Line]) -> Table:
+    """The lines, with what was asked of each and whether it holds."""
+    out = Table("item", "ours", "peer", "ratio", "floor", "share", "asked", "met", title=platform.processor() or None)
+    for line in lines:
+        peer = f"{line.theirs:.4g} {line.unit} ({line.peer})" if line.theirs is not None else ""
+        out.add_row(
+            f"{line.item} [dim]{line.note}[/]" if line.note else line.item,
+            f"{line.ours:.4g} {line.unit}",
+            peer,
+            "" if line.ratio is None else f"{line.ratio:.3g}",
+            "" if line.floor is None else f"{line.floor:.4g} {line.unit}",
+            "" if line.share is None else f"{line.share:.0%}",
+            line.demand,
+            {True: "yes", False: "[bold red]no[/]", None: ""}[line.met],
+        )
+    return out
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(prog="python -m benchmarks", description=__doc__)
+    parser.add_argument("names", nargs="*", metavar="NAME", help=f"which: {', '.join(BENCHMARKS)} (default: all)")
+    parser.add_argument("--json", type=Path, help="also write the figures to this file")
+    args = parser.parse_args()
+    unknown = sorted(set(args.names) - set(BENCHMARKS))
+    if unknown:
+        parser.error(f"there is no benchmark {', '.join(unknown)}; there are {', '.join(BENCHMARKS)}")
+    lines: list[Line] = []
+    for name in args.names or BENCHMARKS:
+        print(f"{name} ...", file=sys.stderr, flush=True)
+        lines += importlib.import_module(f"benchmarks.{name}").lines()
+    Console(width=None if sys.stdout.isatty() else 160).print(table(lines))
+    if args.json:
+        args.json.write_text(json.dumps([asdict(line) | {"met": line.met} for line in lines], indent=1) + "\n")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,90 @@
+"""What a benchmark reports: one line of the table, and the measurements behind it.
+
+Everything that is compared is measured in turns within one process (or by processes started in turns), so that a busy
+or throttled machine slows both alike; the figure is the median over the turns.
+"""
+
+from __future__ import annotations
+
+import statistics
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, kw_only=True)
+class Line:
+    """One line. A quantity is a rate (more is better) unless its unit is one of time or memory."""
+
+    item: str
+    ours: float
+    unit: str  #: "/s" and "x" want more; "s", "ms", "MiB" and "%" want less
+    peer: str = ""  #: whose figure `theirs` is
+    theirs: float | None = None
+    floor: float | None = None  #: what the machine's arithmetic alone would allow, in the same unit
+    least_ratio: float | None = None  #: of ours to the peer's
+    least_share: float | None = None  #: of the floor
+    bound: float | None = None  #: of ours itself: at least for rates, at most for times and memory
+    note: str = ""
+
+    @property
+    def _more_is_better(self) -> bool:
+        return self.unit in ("/s", "x")
+
+    def _over(self, other: float | None) -> float | None:
+        if other is None:
+            return None
+        return self.ours / other if self._more_is_better else other / self.ours
+
+    @property
+    def ratio(self) -> float | None:
+        """How many times better than the peer."""
+        return self._over(self.theirs)
+
+    @property
+    def share(self) -> float | None:
+        """How much of what the machine allows is reached, as a fraction."""
+        return self._over(self.floor)
+
+    @property
+    def met(self) -> bool | None:
+        """Whether every demand on this line is met; None where there is none."""
+        demands = [
+            figure >= least
+            for figure, least in ((self.ratio, self.least_ratio), (self.share, self.least_share))
+            if figure is not None and least is not None
+        ]
+        if self.bound is not None:
+            demands.append(self.ours >= self.bound if self._more_is_better else self.ours <= self.bound)
+        return all(demands) if demands else None
+
+    @property
+    def demand(self) -> str:
+        """The demands in words."""
+        parts = []
+        if self.least_ratio is not None:
+            parts.append(f"≥ {self.least_ratio:g} x peer")
+        if self.least_share is not None:
+            parts.append(f"≥ {self.least_share:.0%} of floor")
+        if self.bound is not None:
+            parts.append(f"{'≥' if self._more_is_better else '≤'} {self.bound:g} {self.unit}")
+        return ", ".join(parts)
+
+
+def seconds(work: Callable[[], object], budget: float) -> float:
+    """Processor seconds per call of this process, averaged over about `budget` seconds (at least one call)."""
+    calls, start = 0, time.process_time()
+    while True:
+        work()
+        calls += 1
+        passed = time.process_time() - start
+        if passed >= budget:
+            return passed / calls
+
+
+def in_turns(*works: Callable[[], object], turns: int = 9, budget: float = 0.3) -> list[float]:
+    """Median seconds per call of each, timed in turns after a warm-up."""
+    for work in works:
+        seconds(work, budget)
+    rounds = [[seconds(work, budget) for work in works] for _ in range(turns)]
+    return [statistics.median(column) for column in zip(*rounds, strict=True)]
