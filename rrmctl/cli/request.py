@@ -85,7 +85,7 @@ def forecast(plan: Plan, layout: Layout) -> Forecast:
     from rrmctl.store.reader import run_status
 
     states = {job.id: run_status(layout.run(job.id)) for job in plan.jobs}
-    return Forecast(plan, states, estimate(plan, stored_rates(layout)))
+    return Forecast(plan, states, estimate(plan, stored_rates(layout, states)))
 
 
 def in_words(forecast: Forecast, cores: int) -> str:
@@ -109,15 +109,16 @@ def smaller(request: Request, plan: Plan) -> list[str]:
 
     gemm = measure_gemm()
     bound = estimate(plan, {}, gemm).core_hours()
+    seeds = {job.seed for job in plan.jobs}  # they cost the same, so one of them is planned
     lines = []
     for name, scale in profiles().items():
         if name == plan.profile:
             continue
         try:
-            other = replace(request, profile=name).plan()
+            other = replace(request, profile=name, seeds=f"{min(seeds)},").plan()
         except UserError:  # a profile that cannot hold the request is no advice
             continue
-        hours = estimate(other, {}, gemm).core_hours()
+        hours = len(seeds) * estimate(other, {}, gemm).core_hours()
         if hours < bound / 2:  # a profile that saves little is no advice
             lines.append(f"--profile {name}: about {duration(hours)} of one core; {scale.about}")
             bound = hours

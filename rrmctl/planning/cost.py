@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from rrm.training.config import RunConfig
     from rrmctl.planning.plan import Job, Plan
     from rrmctl.store.layout import Layout
+    from rrmctl.store.records import Status
 
 #: (task, method, variant) -> environment steps per second, evaluation included.
 Rates = Mapping[tuple[str, str, str], float]
@@ -108,14 +109,19 @@ def estimate(plan: Plan, rates: Rates, gemm: float | None = None) -> Estimate:
     return Estimate(seconds, frozenset(measured))
 
 
-def stored_rates(layout: Layout) -> dict[tuple[str, str, str], float]:
-    """The median speed of the store's runs, by task, method and variant."""
+def stored_rates(layout: Layout, known: Mapping[str, Status] | None = None) -> dict[tuple[str, str, str], float]:
+    """The median speed of the store's runs, by task, method and variant.
+
+    Args:
+        known: where some of the runs stand, by id, as read already.
+    """
     from rrmctl.store.reader import statuses
     from rrmctl.store.records import State, readable_sweeps
 
+    states = dict(known or {})
     speeds: dict[tuple[str, str, str], list[float]] = defaultdict(list)
     for sweep in readable_sweeps(layout)[0]:
-        states = statuses(layout, sweep.jobs)
+        states |= statuses(layout, (job for job in sweep.jobs if job.id not in states))
         for job in sweep.jobs:
             status = states[job.id]
             if status.state is State.DONE and status.wall_s:

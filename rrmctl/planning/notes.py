@@ -19,7 +19,8 @@ def notes(plan: Plan, cores: int) -> list[str]:
 def _unasked(plan: Plan) -> list[str]:
     """Budgets of feedback that a run is too short to spend, those that fall short alike in one line."""
     short: dict[str, dict[str, None]] = defaultdict(dict)
-    for job in plan.jobs:
+    cells = {(job.task, job.method, job.teacher, job.feedback): job for job in plan.jobs}  # every seed asks the same
+    for job in cells.values():
         feedback, queries = job.config.feedback, job.config.queries()
         if feedback is not None and queries < feedback.budget:
             said = f"{queries:,} of {feedback.budget:,} questions fit into {job.config.steps:,} steps"

@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -18,6 +17,7 @@ from rrmctl.reports.series import Floats, Panel, Section, Series, Steps, at_step
 from rrmctl.stats import (
     REPLICATES,
     Estimate,
+    Iqm,
     IqmKind,
     area_under_curve,
     bootstrap,
@@ -84,11 +84,10 @@ def curves(section: Section, settings: Settings = DEFAULTS) -> dict[Series, Curv
 
 
 def _curve(series: Series, settings: Settings) -> Curve:
-    statistic = partial(iqm, kind=settings.kind, axis=-1)
     draws = None
     if interval_possible([series.n]):
         rng = np.random.default_rng(BOOTSTRAP_SEED)
-        draws = resample([series.values], statistic, rng=rng, replicates=settings.replicates)
+        draws = resample([series.values], Iqm(settings.kind), rng=rng, replicates=settings.replicates)
     q25, q75 = quartiles(series.values, axis=0)
     point = iqm(series.values, settings.kind, axis=0)
     return Curve(series, estimate(point, draws, n=series.n, level=LEVEL), q25, q75, draws)
@@ -163,7 +162,6 @@ def across_tasks(panels: Sequence[Panel]) -> list[list[Panel]]:
 
 def _group_rows(group: Sequence[Panel], settings: Settings) -> Iterator[dict[str, Any]]:
     """A row for every method that has runs on all tasks of the group, each task read at its own common step."""
-    statistic = partial(iqm, kind=settings.kind, axis=-1)
     by_task = [{series.label.method: series for series in panel.present()} for panel in group]
     teachers, schedules = {panel.teacher for panel in group}, {panel.feedback for panel in group}
     for method in (name for name in by_task[0] if all(name in found for found in by_task)):
@@ -172,7 +170,7 @@ def _group_rows(group: Sequence[Panel], settings: Settings) -> Iterator[dict[str
             at_steps(each, np.array([panel.read_at().step]))[:, 0] for each, panel in zip(series, group, strict=True)
         ]
         rng = np.random.default_rng(BOOTSTRAP_SEED)
-        found = bootstrap(scores, statistic, rng=rng, replicates=settings.replicates, level=LEVEL)
+        found = bootstrap(scores, Iqm(settings.kind), rng=rng, replicates=settings.replicates, level=LEVEL)
         q25, q75 = quartiles(np.concatenate(scores))
         yield {
             "task": ALL_TASKS, "teacher": _only(teachers, "several"), "method": method,

@@ -6,6 +6,7 @@ measurement must be dealt with where it is known which run it belongs to.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Literal, get_args
 
 import numpy as np
@@ -42,21 +43,40 @@ def iqm(scores: npt.ArrayLike, kind: IqmKind = "rliable", *, axis: int | None = 
     return np.asarray((ordered[..., inside] * weights[inside]).sum(axis=-1) / weights.sum())
 
 
+@dataclass(frozen=True)
+class Iqm:
+    """`iqm` of the last axis, as a statistic that the bootstrap knows by name and need not call for every replicate."""
+
+    kind: IqmKind = "rliable"
+
+    def __call__(self, scores: Floats) -> Floats:
+        return iqm(scores, self.kind, axis=-1)
+
+
 def iqm_weights(n: int, kind: IqmKind) -> Floats:
     """Weight of each of `n` ordered runs, float64 [n], not normalised.
 
     Raises:
         ValueError: `n` is below one, or the kind is unknown.
     """
+    low, high = iqm_window(n, kind)
+    place = np.arange(n, dtype=np.float64)
+    inside: Floats = np.minimum(place + 1, high) - np.maximum(place, low)
+    return inside.clip(0.0, 1.0)
+
+
+def iqm_window(n: int, kind: IqmKind) -> tuple[float, float]:
+    """Where the mean begins and ends when each of `n` ordered runs takes up a length of one; multiples of 1/4.
+
+    Raises:
+        ValueError: `n` is below one, or the kind is unknown.
+    """
     if n < 1:
         raise ValueError("an interquartile mean needs at least one score")
-    position = np.arange(n, dtype=np.float64)
     if kind == "rliable":
-        cut = n // 4
-        return ((position >= cut) & (position < n - cut)).astype(np.float64)
+        return float(n // 4), float(n - n // 4)
     if kind == "exact":
-        overlap: Floats = np.minimum(position + 1, 0.75 * n) - np.maximum(position, 0.25 * n)
-        return overlap.clip(0.0, 1.0)
+        return 0.25 * n, 0.75 * n
     raise ValueError(f"unknown interquartile mean {kind!r}; known: {', '.join(get_args(IqmKind))}")
 
 

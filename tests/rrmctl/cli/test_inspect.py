@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -12,8 +13,9 @@ from typer.testing import CliRunner, Result
 
 from rrmctl import doctor
 from rrmctl.cli import inspect
-from rrmctl.cli.request import duration
+from rrmctl.cli.request import Request, duration, smaller
 from rrmctl.errors import UserError
+from rrmctl.planning.cost import estimate
 
 EXPERIMENTS = Path(__file__).parents[3] / "experiments"
 
@@ -94,6 +96,15 @@ def test_plan_at_smoke_offers_nothing_smaller() -> None:
     text = call("plan", "toy-car", "--profile", "smoke").stdout
     assert "--profile" not in text
     assert "a part of it" in text
+
+
+@pytest.mark.parametrize("seeds", ["5", "2,7,9", "4,"])
+def test_cheaper_profiles_are_told_with_all_seeds(seeds: str) -> None:
+    """The cost of a cheaper profile is that of the whole request in it, though one seed is planned to find out."""
+    request = Request("main-results", experiments=EXPERIMENTS, seeds=seeds)
+    advice = smaller(request, request.plan())
+    whole = estimate(replace(request, profile="laptop").plan(), {}).core_hours()
+    assert advice[0].startswith(f"--profile laptop: about {duration(whole)} of one core")
 
 
 def test_profiles_that_cannot_hold_the_request_are_no_advice() -> None:

@@ -117,6 +117,14 @@ def test_speed_of_unfinished_runs(tmp_path: Path) -> None:
     assert stored_rates(store(tmp_path, plan, *speeds, Status())) == {("toy-car", "oracle", "paper"): 200.0}
 
 
+def test_states_that_are_known_are_not_read_again(tmp_path: Path) -> None:
+    """What a command has read already it need not find a second time; the other runs are looked up."""
+    plan = toy(methods=["oracle"], seeds="2")
+    layout = store(tmp_path, plan, *[Status(state=State.DONE, step=100, wall_s=1.0)] * 2)
+    known = {plan.jobs[0].id: Status(state=State.DONE, step=300, wall_s=1.0)}
+    assert stored_rates(layout, known) == {("toy-car", "oracle", "paper"): 200.0}
+
+
 def test_empty_store(tmp_path: Path) -> None:
     """Nothing stored, nothing known."""
     assert stored_rates(Layout(tmp_path / "absent")) == {}

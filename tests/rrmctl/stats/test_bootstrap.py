@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from scipy.stats import bootstrap as scipy_bootstrap
 from scipy.stats import trim_mean
 
-from rrmctl.stats import area_under_curve, bootstrap, iqm, mean, resample
+from rrmctl.stats import Iqm, area_under_curve, bootstrap, iqm, mean, resample
 
 last_iqm = partial(iqm, axis=-1)
 last_mean = partial(mean, axis=-1)
@@ -18,14 +18,15 @@ def rng(seed=0):
     return np.random.default_rng(seed)
 
 
-def test_replicates_follow_the_enumerated_distribution():
+@pytest.mark.parametrize("statistic", [last_iqm, Iqm()], ids=["sorted", "counted"])
+def test_replicates_follow_the_enumerated_distribution(statistic):
     """Two strata of three and two runs: all 27 x 4 resamples occur, each value as often as enumeration says."""
     strata = [np.array([0.0, 1.0, 5.0]), np.array([2.0, 9.0])]
     exact = [
         float(trim_mean([*a, *b], 0.25)) for a in product(strata[0], repeat=3) for b in product(strata[1], repeat=2)
     ]
     values, counts = np.unique(np.round(exact, 9), return_counts=True)
-    draws = np.round(resample(strata, last_iqm, rng=rng(), replicates=40_000), 9)
+    draws = np.round(resample(strata, statistic, rng=rng(), replicates=40_000), 9)
     found, frequency = np.unique(draws, return_counts=True)
     np.testing.assert_array_equal(found, values)
     share = counts / counts.sum()
