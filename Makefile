@@ -25,8 +25,12 @@ check: install
 	$(BIN)/ruff check .
 	$(BIN)/mypy
 
-bench: install
-	$(BIN)/python benchmarks/sac_update.py
+bench: .venv/benched
+	$(BIN)/python -m benchmarks $(BENCHMARKS)
+
+.venv/benched: .venv/installed
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[dev,bench]'
+	@touch $@
 
 install: .venv/installed
 

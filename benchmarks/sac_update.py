@@ -1,27 +1,51 @@
-"""SAC updates per second beside what the arithmetic alone would allow on the same core.
+"""SAC updates a second beside Stable-Baselines3's, and beside what the arithmetic alone would allow.
 
-    taskset -c 0 python benchmarks/sac_update.py
-
-The floor is the update's multiplications and additions, no unused gradient counted, divided by the rate of one
-batch x hidden x hidden product. Updates and products are timed in turns, so that a busy machine slows both alike; the
-share is the median over the turns.
+The floor is the multiplications and additions of the update's matrix products, no unused gradient counted, at the rate
+of one batch x hidden x hidden product in the same precision.
 """
 
 from __future__ import annotations
 
-import argparse
-import statistics
-import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from importlib.util import find_spec
 
 import torch
 
+from benchmarks.lines import Line, in_turns
 from rrm.agents.sac import Sac
 from rrm.config import AgentConfig
+from rrm.nets.precision import rounds
+from rrm.precision import Precision
 from rrm.seeding import Streams
 from rrm.types import Batch
 
 OBS, ACT = 39, 4  # Meta-World
+_PEER_UPDATES = 5  # at once: the peer sets up its optimisers' rates once a call
+_DEMANDS: dict[Precision, tuple[float, float]] = {"float32": (1.3, 0.85), "bfloat16": (2.5, 0.70)}
+
+
+def lines() -> Iterator[Line]:
+    """The paper's sizes in both precisions, and the laptop profile's."""
+    torch.set_num_threads(1)
+    for config in (AgentConfig(), AgentConfig(hidden=128, batch=128)):
+        paper = config == AgentConfig()
+        for precision in ("float32", "bfloat16") if rounds("bfloat16") else ("float32",):
+            yield _line(config, precision, demanded=paper)
+
+
+def _line(config: AgentConfig, precision: Precision, *, demanded: bool) -> Line:
+    works = [agent_update(config, precision), product(config, precision)]
+    if find_spec("stable_baselines3"):
+        works.append(_peer_updates(config))
+    update_s, product_s, *peer_s = in_turns(*works)
+    rate = 2.0 * config.batch * config.hidden**2 / product_s
+    ratio, share = _DEMANDS[precision]
+    return Line(
+        item=f"SAC update, batch {config.batch}, {config.hidden} x {config.layers}, {precision}",
+        ours=1 / update_s, unit="/s", peer="Stable-Baselines3", theirs=_PEER_UPDATES / peer_s[0] if peer_s else None,
+        floor=rate / update_flop(config), note=f"product at {rate / 1e9:.0f} GFLOP/s",
+        least_ratio=ratio if demanded else None, least_share=share if demanded else None,
+    )  # fmt: skip
 
 
 def update_flop(config: AgentConfig) -> float:
@@ -38,65 +62,46 @@ def update_flop(config: AgentConfig) -> float:
     return 2.0 * config.batch * (critic_step + actor_step)
 
 
-def make_update(config: AgentConfig) -> Callable[[], None]:
+def agent_update(config: AgentConfig, precision: Precision) -> Callable[[], None]:
     """An agent's update on random data."""
-    sac = Sac(config, OBS, ACT, Streams(0))
+    sac = Sac(config, OBS, ACT, Streams(0), precision=precision)
     rows = config.batch
     obs, next_obs = torch.randn(2, rows, OBS)
     batch = Batch(obs, torch.rand(rows, ACT) * 2 - 1, torch.zeros(rows), torch.randn(rows), next_obs, torch.ones(rows))
     return lambda: sac.update(batch)
 
 
-def make_product(config: AgentConfig) -> Callable[[], None]:
-    """The product whose rate is the measure."""
-    x, w = torch.randn(config.batch, config.hidden), torch.randn(config.hidden, config.hidden)
-    out = torch.empty(config.batch, config.hidden)
+def product(config: AgentConfig, precision: Precision) -> Callable[[], None]:
+    """The product whose rate is the measure, on numbers stored in this precision."""
+    dtype = torch.bfloat16 if precision == "bfloat16" else torch.float32
+    x, w = torch.randn(config.batch, config.hidden).to(dtype), torch.randn(config.hidden, config.hidden).to(dtype)
+    out = torch.empty(config.batch, config.hidden, dtype=dtype)
 
-    def product() -> None:
+    def one() -> None:
         torch.mm(x, w, out=out)
 
-    return product
+    return one
 
 
-def seconds(work: Callable[[], None], budget: float) -> float:
-    """Seconds per call, averaged over about `budget` seconds."""
-    calls, start = 0, time.process_time()
-    while (passed := time.process_time() - start) < budget:
-        work()
-        calls += 1
-    return passed / calls
+def _peer_updates(config: AgentConfig) -> Callable[[], None]:
+    """The same number of transitions through the peer's update, with its replay buffer, as its users run it."""
+    import gymnasium as gym
+    import numpy as np
+    from stable_baselines3 import SAC
+    from stable_baselines3.common.logger import configure
 
+    class Blank(gym.Env):  # type: ignore[type-arg]
+        observation_space = gym.spaces.Box(-np.inf, np.inf, (OBS,), np.float32)
+        action_space = gym.spaces.Box(-1, 1, (ACT,), np.float32)
 
-def measure(config: AgentConfig, turns: int, budget: float) -> str:
-    """One line of the table."""
-    update, product = make_update(config), make_product(config)
-    for warm_up in (update, product):
-        seconds(warm_up, budget)
-    pairs = [(seconds(update, budget), seconds(product, budget)) for _ in range(turns)]
-    flop, product_flop = update_flop(config), 2.0 * config.batch * config.hidden**2
-    share = statistics.median(flop * p / product_flop / u for u, p in pairs)
-    rate = statistics.median(product_flop / p for _, p in pairs)
-    updates = statistics.median(1 / u for u, _ in pairs)
-    return (
-        f"{config.batch:>5} {config.hidden:>4}x{config.layers} {flop / 1e9:>7.2f} {rate / 1e9:>8.0f} "
-        f"{rate / flop:>10.1f} {updates:>10.1f} {share:>7.1%}"
-    )
-
-
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--batch", type=int, nargs="+", default=[512, 128])
-    parser.add_argument("--hidden", type=int, default=256)
-    parser.add_argument("--layers", type=int, default=3)
-    parser.add_argument("--turns", type=int, default=15, help="alternations of updates and products")
-    parser.add_argument("--budget", type=float, default=0.3, help="seconds of each in a turn")
-    args = parser.parse_args()
+    sac = SAC(
+        "MlpPolicy", Blank(), batch_size=config.batch, learning_rate=config.critic_lr, buffer_size=4096, device="cpu",
+        policy_kwargs={"net_arch": [config.hidden] * config.layers}, target_update_interval=config.target_every,
+    )  # fmt: skip
+    sac.set_logger(configure(None, []))
+    rng = np.random.default_rng(0)
+    for _ in range(2048):
+        obs, following = rng.standard_normal((2, 1, OBS), np.float32)
+        sac.replay_buffer.add(obs, following, rng.uniform(-1, 1, (1, ACT)), rng.standard_normal(1), np.zeros(1), [{}])
     torch.set_num_threads(1)
-    print("batch   net   GFLOP  GFLOP/s  floor/s  updates/s  share")
-    for batch in args.batch:
-        config = AgentConfig(batch=batch, hidden=args.hidden, layers=args.layers)
-        print(measure(config, args.turns, args.budget))
-
-
-if __name__ == "__main__":
-    main()
+    return lambda: sac.train(_PEER_UPDATES, config.batch)

@@ -11,7 +11,7 @@ from __future__ import annotations
 import json
 import os
 import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +27,7 @@ from rrm.types import State
 #: Of the layout written here; another version is refused with its number.
 FORMAT = 1
 KEPT = 2  #: newest checkpoints that stay
+_BLOCK = 1 << 22  # bytes of a log in memory while it is read back
 
 
 def encode(state: State) -> bytes:
@@ -105,22 +106,32 @@ class AppendLog:
         self.size += len(data)
         self.crc = zlib.crc32(data, self.crc)
 
-    def restore(self, size: int, crc: int) -> bytes:
-        """The first `size` bytes; later appends continue there.
+    def restore(self, size: int, crc: int, record: int) -> Iterator[bytes]:
+        """The first `size` bytes in blocks of whole records; later appends continue there.
+
+        Whether they are intact is known only behind the last block: what was made of them must be thrown away if this
+        raises.
+
+        Args:
+            record: bytes of a record, which no block cuts.
 
         Raises:
             CheckpointError: the file is missing, too short, or its checksum differs.
             OSError: it cannot be read now, which says nothing about what it holds.
         """
+        read, found = 0, 0
         try:
             with self._path.open("rb") as file:
-                data = file.read(size)
+                while block := file.read(min(size - read, _BLOCK // record * record)):
+                    read, found = read + len(block), zlib.crc32(block, found)
+                    if len(block) % record:
+                        break
+                    yield block
         except FileNotFoundError as error:
             raise CheckpointError(f"{self._path}: {error.strerror}") from error
-        if len(data) != size or zlib.crc32(data) != crc:
+        if read != size or found != crc:
             raise CheckpointError(f"{self._path}: damaged (its first {size} bytes do not match their checksum)")
         self.size, self.crc = size, crc
-        return data
 
 
 class Checkpoints:

@@ -193,13 +193,18 @@ class Experience:
         """
         generation = int(state["generation"])
         transitions, rewards = self._open(folder, generation)
-        records = np.frombuffer(transitions.restore(*state["transitions"]), self._dtype())
-        stored_rewards = np.frombuffer(rewards.restore(*state["rewards"]), np.float32)
+        dtype, rows, labelled = self._dtype(), 0, 0
+        (size, crc), (reward_size, reward_crc) = state["transitions"], state["rewards"]
+        for block in transitions.restore(size, crc, dtype.itemsize):
+            rows = self._read_records(rows, np.frombuffer(block, dtype))
+        self._find_episodes(rows)
+        for block in rewards.restore(reward_size, reward_crc, self.reward.itemsize):
+            values = np.frombuffer(block, np.float32)
+            self.reward.numpy()[labelled : labelled + len(values)] = values
+            labelled += len(values)
         self._logs = (transitions, rewards)
         self.generation = self._saved_generation = generation
-        self._read_records(records)
-        rows = self._saved_rows = int(state["rows"])
-        self.reward.numpy()[:rows] = stored_rewards
+        self._saved_rows = rows
         self.obs[rows] = state["next_obs"]
 
     def discard(self, folder: Path, kept_generations: Collection[int]) -> None:
@@ -229,12 +234,17 @@ class Experience:
         records["kind"] = self._kind[begin:end]
         return records
 
-    def _read_records(self, records: npt.NDArray[np.void]) -> None:
-        rows = len(records)
+    def _read_records(self, begin: int, records: npt.NDArray[np.void]) -> int:
+        """Put records into the rows from `begin` on; returns the row behind them."""
+        end = begin + len(records)
         for name in ("obs", "act", "prior", "raw_prior", "true_reward"):
-            getattr(self, name).numpy()[:rows] = records[name]
-        kinds = records["kind"]
-        self._kind[:rows] = kinds
+            getattr(self, name).numpy()[begin:end] = records[name]
+        self._kind[begin:end] = records["kind"]
+        return end
+
+    def _find_episodes(self, rows: int) -> None:
+        """Everything that follows from the kinds of the first `rows` rows."""
+        kinds = self._kind[:rows]
         self.continues.numpy()[:rows] = (kinds == _STEP) | (kinds == _TRUNCATED)
         steps = np.flatnonzero(kinds != _END)
         self._row_of.numpy()[: len(steps)] = steps

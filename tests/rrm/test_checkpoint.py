@@ -9,6 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
+from rrm import checkpoint
 from rrm.checkpoint import AppendLog, Checkpoints, decode, encode
 from rrm.errors import CheckpointError, ConfigError
 
@@ -147,7 +148,7 @@ def test_a_log_restores_any_committed_prefix(tmp_path_factory, chunks, torn, dat
         file.write(torn)
     size, crc = data.draw(st.sampled_from(marks))
     again = AppendLog(path)
-    assert again.restore(size, crc) == b"".join(chunks)[:size]
+    assert b"".join(again.restore(size, crc, 1)) == b"".join(chunks)[:size]
     again.append(b"new")
     assert path.read_bytes() == b"".join(chunks)[:size] + b"new"
 
@@ -158,6 +159,17 @@ def test_a_damaged_log_is_refused(tmp_path):
     log.append(b"hello")
     (tmp_path / "log.bin").write_bytes(b"hellO")
     with pytest.raises(CheckpointError, match="checksum"):
-        AppendLog(tmp_path / "log.bin").restore(log.size, log.crc)
+        list(AppendLog(tmp_path / "log.bin").restore(log.size, log.crc, 1))
     with pytest.raises(CheckpointError, match="No such file"):
-        AppendLog(tmp_path / "none.bin").restore(1, 0)
+        list(AppendLog(tmp_path / "none.bin").restore(1, 0, 1))
+
+
+def test_a_log_comes_back_in_whole_records(tmp_path, monkeypatch):
+    """No block cuts a record, whatever fits into one; a log cut inside a record is damaged."""
+    monkeypatch.setattr(checkpoint, "_BLOCK", 10)
+    log = AppendLog(tmp_path / "log.bin")
+    log.append(bytes(range(21)))
+    assert [len(block) for block in AppendLog(tmp_path / "log.bin").restore(log.size, log.crc, 3)] == [9, 9, 3]
+    (tmp_path / "log.bin").write_bytes(bytes(range(20)))
+    with pytest.raises(CheckpointError, match="checksum"):
+        list(AppendLog(tmp_path / "log.bin").restore(log.size, log.crc, 3))
