@@ -14,6 +14,7 @@ Count = Annotated[int, Field(ge=1)]
 NonNegative = Annotated[int, Field(ge=0)]
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 Fraction = Annotated[float, Field(ge=0, le=1)]
+Weight = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 
 #: Learners that learn nothing: the reward is known. Feedback and teacher mean nothing to them.
 KNOWN_REWARDS = ("true", "prior")
@@ -41,6 +42,26 @@ class AgentConfig(Section):
     update_every: Count = 1  #: environment steps per update
 
 
+class SurfConfig(Section):
+    """SURF (Park et al. 2022); its README's settings for Meta-World, whose passes over the labels are `epochs = 20`."""
+
+    threshold: Fraction = 0.99  #: tau: a pseudo-label counts from this probability of its class on
+    ratio: Count = 4  #: mu: pairs without a label per labelled one in a gradient step
+    unlabelled: Count = 10  #: rho: pairs without a label drawn per query
+    weight: Weight = 1.0  #: lambda_u: of the loss on pseudo-labels
+    margin: NonNegative = 5  #: w: steps a segment is longer by, on either side
+    crop: NonNegative = 5  #: c: a crop is up to so many steps shorter or longer than a segment
+
+
+class MrnConfig(Section):
+    """MRN (Liu et al. 2022, "Meta-Reward-Net"); its README's settings for Meta-World."""
+
+    every: Count = 10_000  #: environment steps between two steps along the critic's opinion
+    outer_weight: Positive = 0.1  #: of the outer loss
+    meta_optimizer: Literal["shared", "separate"] = "shared"  #: the Adam of the labels (MRN's), or one of its own
+    faithful_done: bool = False  #: MRN's code: at those steps a time limit cuts the bootstrap as a termination does
+
+
 class RewardConfig(Section):
     """The reward the agent is trained on, and how it is learned (section 3, appendix "Model structure")."""
 
@@ -50,6 +71,8 @@ class RewardConfig(Section):
     learner_digest: str | None = None  #: likewise for `learner`
     options: dict[str, Any] = Field(default_factory=dict)  #: what a learner of the user's own wants to be told
     normaliser: Literal["scale", "zscore"] = "scale"  #: appendix (default), or the main text's
+    bound: Literal["tanh", "gaussian"] = "tanh"  #: what keeps the reward near its prior: a tanh, or a squared penalty
+    penalty: Weight = 1.0  #: lambda of the squared penalty; the main text's, 1 / (2 sigma^2) in the appendix
     members: Count = 3  #: networks of the ensemble
     hidden: Count = 256
     layers: Count = 3
@@ -58,11 +81,23 @@ class RewardConfig(Section):
     epochs: Count = 10  #: passes over all labels per session at the most
     target_accuracy: Fraction = 0.97  #: stop after an epoch above it; 1 never stops early
     capacity: Count = 10_000  #: newest labels kept
+    surf: SurfConfig = SurfConfig()  #: of the learner `surf`
+    mrn: MrnConfig = MrnConfig()  #: of the learner `mrn`
 
     @property
     def is_learned(self) -> bool:
         """False where the reward is known beforehand (true reward, prior alone)."""
         return self.learner not in KNOWN_REWARDS
+
+    @property
+    def margin(self) -> int:
+        """Steps beside a segment, on either side, that a learner of ours sees; a user's own says so when it is made."""
+        return self.surf.margin if self.learner == "surf" else 0
+
+    @property
+    def pairs_per_label(self) -> int:
+        """Pairs in a gradient step for each labelled one, itself included; of a learner of ours."""
+        return 1 + self.surf.ratio if self.learner == "surf" else 1
 
 
 class FeedbackConfig(Section):
@@ -92,13 +127,11 @@ class FeedbackConfig(Section):
 class TeacherConfig(Section):
     """The scripted teacher of B-Pref (appendix "Noisy teacher models")."""
 
-    beta: Annotated[float, Field(gt=0, allow_inf_nan=False)] | None = None  #: rationality; None is without doubt
+    beta: Positive | None = None  #: rationality; None is without doubt
     gamma: Annotated[float, Field(gt=0, le=1)] = 1.0  #: below 1 the last steps of a segment weigh most
     mistake: Fraction = 0.0  #: probability of a flipped label
-    skip: Annotated[float, Field(ge=0, allow_inf_nan=False)] = (
-        0.0  #: pairs below this share of a typical segment: no label
-    )
-    equal: Annotated[float, Field(ge=0, allow_inf_nan=False)] = 0.0  #: pairs closer than this share are called equal
+    skip: Weight = 0.0  #: pairs below this share of a typical segment: no label
+    equal: Weight = 0.0  #: pairs closer than this share are called equal
 
 
 class ExplorationConfig(Section):

@@ -6,6 +6,7 @@ continues bit for bit where it was saved.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
@@ -62,6 +63,7 @@ class Agent(Stateful, Protocol):
     """An off-policy agent. It receives batches and knows neither environment nor buffer."""
 
     updates: int  #: finished so far
+    critic_lr: float  #: step size of the critics' optimiser
 
     def act(self, obs: Floats, *, explore: bool) -> Floats:
         """Action float32 [A] for one observation float32 [O]: a sample when exploring, else the deterministic one."""
@@ -74,6 +76,15 @@ class Agent(Stateful, Protocol):
 
     def q_values(self, obs: Tensor, act: Tensor, params: Sequence[Tensor] | None = None) -> Tensor:
         """What the critics say, float32 [2, B], differentiable; `params` stand in for their own."""
+
+    def critic_parameters(self) -> list[Tensor]:
+        """The critics' own: leaves of autograd, in the order `q_values` takes them."""
+
+    def q_target(self, batch: Batch) -> Tensor:
+        """What the critics are regressed on, [B]: reward plus discounted soft value, differentiable in the reward.
+
+        Its random draws are its own: whoever asks does not disturb training.
+        """
 
     def metrics(self) -> dict[str, float]:
         """Figures of the last update: `critic_loss`, `actor_loss`, `entropy`, `alpha`; NaN before the first."""
@@ -91,27 +102,61 @@ class RewardFunction(Stateful, Protocol):
     def parameters(self) -> list[Tensor]:
         """What an optimiser steps."""
 
+    def penalty(self, rewards: Tensor, segments: Segments) -> Tensor:
+        """What a learner adds to the loss of a minibatch: a scalar, summed over members, averaged over the rest.
+
+        Args: rewards: what `members` said of `segments`.
+        """
+
+
+@dataclass(frozen=True, kw_only=True)
+class Needs:
+    """What a learner asks of feedback sessions and of the loop, beyond labelled pairs of segments."""
+
+    margin: int = 0  #: steps beside a segment, on either side: it sees more than the teacher, who sees the middle
+    unlabelled: int = 0  #: uniform pairs without a label, drawn and kept for each query
+    refine_every: int = 1  #: environment steps between two calls of `refine`, which come before an update of the agent
+    refine_when_spent: bool = True  #: whether `refine` is still called once every question is asked
+    time_limits_end: bool = False  #: whether the batch of `refine`, and of the update after it, ends at time limits
+
 
 class RewardLearner(Stateful, Protocol):
     """Trains a reward function from preferences; PEBBLE, SURF and MRN differ only behind this seam."""
 
     reward: RewardFunction
+    needs: Needs
 
     def fit(self, feedback: Feedback) -> dict[str, float]:
         """One feedback session's worth of training on every label so far; `label_accuracy` and the like."""
 
-    def refine(self, batch: Batch, agent: Agent) -> bool:
-        """Called before every agent update, for learners that need the critic; True when the reward changed."""
+    def refine(self, batch: Batch, agent: Agent, feedback: Feedback) -> bool:
+        """Called before updates of the agent (see `Needs`) after the first session; True when the reward changed."""
+
+    def metrics(self) -> dict[str, float]:
+        """Figures of the learner's own for the run's log, beside every evaluation; mostly none."""
 
 
 class Feedback(Protocol):
-    """What a session hands the learner: every labelled pair so far."""
+    """What a learner is taught with: every labelled pair so far, and pairs nobody was asked about if it needs them.
+
+    Segments are as long as the teacher's and the learner's margin on either side.
+    """
 
     def __len__(self) -> int:
         """Labelled pairs."""
 
     def pairs(self, index: Tensor) -> tuple[Segments, Segments, Tensor]:
         """Pairs by position: both segments, and the probability float32 [B] that the second is preferred."""
+
+    def newest(self) -> Tensor:
+        """Positions of the newest labelled pairs, as many as a session asks for; fewer while there are fewer."""
+
+    @property
+    def unlabelled(self) -> int:
+        """Pairs without a label."""
+
+    def unlabelled_pairs(self, index: Tensor) -> tuple[Segments, Segments]:
+        """Both segments of pairs without a label, by position."""
 
 
 class Teacher(Stateful, Protocol):

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import math
 
+import torch
 from torch import Tensor
-from torch.nn.functional import binary_cross_entropy_with_logits, softplus
+from torch.nn.functional import binary_cross_entropy_with_logits, pad, softplus
 
 _LOG_SQRT_2PI = 0.5 * math.log(2 * math.pi)
 
@@ -34,6 +35,38 @@ def preference_loss(logits: Tensor, target: Tensor) -> Tensor:
     """
     losses = binary_cross_entropy_with_logits(logits, target.expand_as(logits), reduction="none")
     return losses.mean(dim=-1).sum()
+
+
+def window_sums(r_hat: Tensor, starts: Tensor, ends: Tensor) -> Tensor:
+    """Sums of the rewards of steps `starts` up to, not including, `ends`.
+
+    Args:
+        r_hat: reward per step, float32 [..., T].
+        starts, ends: K windows of each segment, int64 [..., K], between 0 and T.
+
+    Returns:
+        float32 [..., K].
+    """
+    before = pad(r_hat.cumsum(dim=-1), (1, 0))
+    at_starts, at_ends = before.gather(-1, torch.cat((starts, ends), dim=-1)).chunk(2, dim=-1)
+    return at_ends - at_starts
+
+
+def pseudo_label_loss(logits: Tensor, opinion: Tensor, threshold: float) -> tuple[Tensor, Tensor]:
+    """Cross entropy with labels that the members give themselves where they are sure (SURF, Park et al. 2022, eq. 4).
+
+    Args:
+        logits: log-odds for segment 1 by every member, float32 [N, B].
+        opinion: log-odds by which each member labels, float32 [N, B]; no gradient enters them.
+        threshold: probability of the likelier segment from which on the label counts.
+
+    Returns:
+        The loss, a float32 scalar, averaged over *all* pairs and summed over members; and how many labels counted.
+    """
+    opinion = opinion.detach()
+    sure = torch.sigmoid(opinion.abs()) >= threshold
+    losses = binary_cross_entropy_with_logits(logits, (opinion > 0).to(logits.dtype), reduction="none")
+    return (losses * sure).mean(dim=-1).sum(), sure.sum()
 
 
 def squashed_gaussian_log_prob(noise: Tensor, log_std: Tensor, pre_tanh: Tensor) -> Tensor:

@@ -43,6 +43,7 @@ def select(
     config: FeedbackConfig,
     count: int,
     *,
+    segment: int,
     experience: Experience,
     reward: RewardFunction,
     labelled: Rows,
@@ -52,22 +53,23 @@ def select(
     """The `count` pairs to ask about now: first rows, int64 [count, 2].
 
     Args:
+        segment: steps of a segment, the learner's margins included.
         labelled: pairs answered before, which k-center keeps its distance from, int64 [n, 2].
         first: the first session asks uniformly, since the reward has learned nothing to disagree about.
     """
     episodes = experience.episodes[-config.window :]
     if first or config.sampler == "uniform":
-        return uniform_pairs(episodes, config.segment, count, rng)
-    pool = uniform_pairs(episodes, config.segment, config.pool * count, rng)
+        return uniform_pairs(episodes, segment, count, rng)
+    pool = uniform_pairs(episodes, segment, config.pool * count, rng)
     spread_out = config.sampler.startswith("kcenter")
     score = config.sampler.removeprefix("kcenter").removeprefix("-")
     if score:
-        probability = member_probabilities(experience, reward, pool, config.segment)
+        probability = member_probabilities(experience, reward, pool, segment)
         values = disagreement(probability) if score == "disagreement" else mean_entropy(probability)
         keep = max(count, len(pool) // 2) if spread_out else count
         pool = pool[np.argsort(-values, kind="stable")[:keep]]
     if spread_out:
-        pool = pool[_kcenter(_states(experience, pool, config), _states(experience, labelled, config), count)]
+        pool = pool[_kcenter(_states(experience, pool, segment), _states(experience, labelled, segment), count)]
     return pool
 
 
@@ -96,8 +98,8 @@ def mean_entropy(probability: npt.NDArray[np.float32]) -> npt.NDArray[np.float32
     return entropy
 
 
-def _states(experience: Experience, pairs: Rows, config: FeedbackConfig) -> npt.NDArray[np.float32]:
-    obs = experience.segments(torch.from_numpy(pairs), config.segment).obs
+def _states(experience: Experience, pairs: Rows, segment: int) -> npt.NDArray[np.float32]:
+    obs = experience.segments(torch.from_numpy(pairs), segment).obs
     return obs.flatten(1).numpy()
 
 

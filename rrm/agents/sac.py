@@ -103,7 +103,8 @@ class Sac:
     Args:
         config: sizes, step sizes, discount and target rate.
         obs_dim, act_dim: features of an observation, dimensions of an action.
-        streams: `init` draws weights, `agent` the noise of updates, `explore` the noise of actions taken.
+        streams: `init` draws weights, `agent` the noise of updates, `explore` the noise of actions taken, `lookahead`
+            that of targets somebody else asks for.
         precision: of products between hidden layers (`rrm.nets.precision`).
         device: where everything is computed.
     """
@@ -120,10 +121,12 @@ class Sac:
     ) -> None:
         self.config = config
         self.obs_dim, self.act_dim = obs_dim, act_dim
+        self.critic_lr = config.critic_lr
         self.updates = 0  #: finished updates
         self._init = streams.torch("init", device)
         self._noise = streams.torch("agent", device)
         self._explore = streams.torch("explore", device)
+        self._lookahead = streams.torch("lookahead", device)
 
         def stack(members: int, inputs: int, outputs: int, generator: torch.Generator | None) -> StackedMLP:
             shape = (members, inputs, config.hidden, config.layers, outputs)
@@ -234,6 +237,19 @@ class Sac:
             params: in place of `critic.parameters()`, for learners that look one step of the critic ahead.
         """
         return self.critic.plain(torch.cat((obs, act), dim=-1), params).squeeze(1)
+
+    def critic_parameters(self) -> list[Tensor]:
+        """Leaves of autograd that share memory with both critics, in the order `q_values` takes them."""
+        return self.critic.parameters()
+
+    def q_target(self, batch: Batch) -> Tensor:
+        """What the critics are regressed on, float32 [B], differentiable in the batch's reward alone."""
+        with torch.no_grad():
+            noise = torch.randn(self.act_dim, len(batch.next_obs), generator=self._lookahead, device=self._noise.device)
+            sample = _Sample(self.actor(batch.next_obs)[0], noise)
+            q_next = self.target(torch.cat((batch.next_obs, sample.act.t()), dim=-1)).squeeze(1)
+            value = torch.minimum(q_next[0], q_next[1]) - self.log_alpha.exp() * sample.log_prob()
+        return batch.reward + self.config.discount * batch.continues * value
 
     def metrics(self) -> dict[str, float]:
         """`critic_loss`, `actor_loss`, `entropy` (nats) and `alpha` of the last update; NaN before the first."""

@@ -109,16 +109,20 @@ class Experience:
         self.episodes.append(Episode(self._episode_start, next_row - 1 - self._episode_start))
         self._episode_start = self.rows = next_row
 
-    def sample(self, count: int, generator: torch.Generator) -> Batch:
-        """`count` transitions, uniformly with replacement."""
+    def sample(self, count: int, generator: torch.Generator, *, time_limits_end: bool = False) -> Batch:
+        """`count` transitions, uniformly with replacement.
+
+        Args: time_limits_end: take a time limit for a termination in `continues`.
+        """
         rows = self._row_of[torch.randint(self.transitions, (count,), generator=generator)]
+        on = torch.from_numpy(self._kind)[rows] == _STEP if time_limits_end else self.continues[rows]
         return Batch(
             obs=self.obs[rows],
             act=self.act[rows],
             prior=self.prior[rows],
             reward=self.reward[rows],
             next_obs=self.obs[rows + 1],
-            continues=self.continues[rows],
+            continues=on.float(),
         )
 
     def segments(self, starts: Tensor, length: int) -> Segments:

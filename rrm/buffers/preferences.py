@@ -1,4 +1,4 @@
-"""The labelled pairs of segments: a ring of row numbers into the experience, which keeps the segments themselves."""
+"""Pairs of segments, labelled or not: rings of row numbers into the experience, which keeps the segments themselves."""
 
 from __future__ import annotations
 
@@ -15,23 +15,49 @@ Rows = npt.NDArray[np.int64]
 Labels = npt.NDArray[np.int8]
 
 
-class Preferences:
-    """The newest `capacity` labelled pairs (the preference buffer D of the paper)."""
+class PairRing:
+    """The newest `capacity` pairs of segments."""
 
     def __init__(self, capacity: int, segment: int) -> None:
-        """Args: capacity: labels kept; segment: steps of a segment."""
+        """Args: capacity: pairs kept; segment: steps of a segment."""
         self.segment = segment
         self._pairs = np.zeros((capacity, 2), np.int64)
-        self._labels = np.zeros(capacity, np.int8)
         self._added = 0
 
     def __len__(self) -> int:
-        return min(self._added, len(self._labels))
+        return min(self._added, len(self._pairs))
 
     @property
     def pairs(self) -> Rows:
-        """First rows of both segments of every labelled pair, int64 [n, 2]."""
+        """First rows of both segments of every pair, int64 [n, 2]."""
         return self._pairs[: len(self)]
+
+    def newest(self, count: int) -> Rows:
+        """Where in `pairs` the newest `count` are, or all where there are fewer, newest last: int64 [<= count]."""
+        positions: Rows = (self._added - np.arange(min(count, len(self)), 0, -1)) % len(self._pairs)
+        return positions
+
+    def put(self, pairs: Rows) -> Rows:
+        """Append pairs, int64 [n, 2]; the oldest give way. Returns where they are now, int64 [n]."""
+        slots: Rows = (self._added + np.arange(len(pairs))) % len(self._pairs)
+        self._pairs[slots] = pairs
+        self._added += len(pairs)
+        return slots
+
+    def state_dict(self) -> State:
+        return {"pairs": self.pairs.copy(), "added": self._added}
+
+    def load_state_dict(self, state: State) -> None:
+        self._pairs[: len(state["pairs"])] = state["pairs"]
+        self._added = int(state["added"])
+
+
+class Preferences(PairRing):
+    """The newest `capacity` labelled pairs (the preference buffer D of the paper)."""
+
+    def __init__(self, capacity: int, segment: int) -> None:
+        super().__init__(capacity, segment)
+        self._labels = np.zeros(capacity, np.int8)
 
     @property
     def labels(self) -> Labels:
@@ -40,40 +66,52 @@ class Preferences:
 
     def add(self, pairs: Rows, labels: Labels) -> None:
         """Append labelled pairs, int64 [n, 2] and int8 [n]; the oldest give way."""
-        slots = (self._added + np.arange(len(labels))) % len(self._labels)
-        self._pairs[slots] = pairs
-        self._labels[slots] = labels
-        self._added += len(labels)
+        self._labels[self.put(pairs)] = labels
 
     def state_dict(self) -> State:
-        return {"pairs": self.pairs.copy(), "labels": self.labels.copy(), "added": self._added}
+        return super().state_dict() | {"labels": self.labels.copy()}
 
     def load_state_dict(self, state: State) -> None:
-        count = len(state["labels"])
-        self._pairs[:count] = state["pairs"]
-        self._labels[:count] = state["labels"]
-        self._added = int(state["added"])
+        super().load_state_dict(state)
+        self._labels[: len(self)] = state["labels"]
 
 
-class LabelledSegments:
-    """What a feedback session hands the learner: the labelled pairs, with their segments looked up on demand."""
+class StoredFeedback:
+    """An `rrm.interfaces.Feedback` over what is stored now, with the segments looked up on demand."""
 
-    def __init__(self, experience: Experience, preferences: Preferences) -> None:
+    def __init__(self, experience: Experience, preferences: Preferences, unlabelled: PairRing, batch: int) -> None:
+        """Args: batch: queries of a session."""
         self._experience = experience
         self._preferences = preferences
-        self._pairs = torch.from_numpy(preferences.pairs)
-        self._labels = torch.from_numpy(preferences.labels)
+        self._unlabelled = unlabelled
+        self._batch = batch
 
     def __len__(self) -> int:
-        return len(self._labels)
+        return len(self._preferences)
+
+    @property
+    def unlabelled(self) -> int:
+        """Pairs without a label."""
+        return len(self._unlabelled)
 
     def pairs(self, index: Tensor) -> tuple[Segments, Segments, Tensor]:
         """Both segments of the pairs at `index` [...] and the probability that the second is preferred, of that shape.
 
         The probability is 0 or 1, or one half where the teacher called them equal.
         """
-        rows = self._pairs[index]
-        labels = self._labels[index]
+        labels = torch.from_numpy(self._preferences.labels)[index]
         target = torch.where(labels == EQUAL, 0.5, labels.float())
-        length = self._preferences.segment
-        return self._experience.segments(rows[..., 0], length), self._experience.segments(rows[..., 1], length), target
+        return *self._segments(self._preferences, index), target
+
+    def newest(self) -> Tensor:
+        """Positions of the newest labelled pairs, as many as a session asks for; fewer while there are fewer."""
+        return torch.from_numpy(self._preferences.newest(self._batch))
+
+    def unlabelled_pairs(self, index: Tensor) -> tuple[Segments, Segments]:
+        """Both segments of the pairs without a label at `index` [...]."""
+        return self._segments(self._unlabelled, index)
+
+    def _segments(self, ring: PairRing, index: Tensor) -> tuple[Segments, Segments]:
+        rows = torch.from_numpy(ring.pairs)[index]
+        first, second = (self._experience.segments(rows[..., i], ring.segment) for i in (0, 1))
+        return first, second

@@ -3,4 +3,6 @@
 #: Learners by name. `true` and `prior` are known rewards and need no learner.
 LEARNERS: dict[str, str] = {
     "pebble": "rrm.rewards.pebble:Pebble",
+    "surf": "rrm.rewards.surf:Surf",
+    "mrn": "rrm.rewards.mrn:Mrn",
 }

@@ -11,12 +11,19 @@ from rrm.precision import Precision
 from rrm.types import Segments, State
 
 
-class BoundedEnsemble:
-    """N independent networks with outputs in (-1, 1) (appendix "Model structure")."""
+class Ensemble:
+    """N independent networks with outputs in (-1, 1), or with linear ones (appendix "Model structure")."""
 
     def __init__(
-        self, config: RewardConfig, inputs: int, generator: torch.Generator, precision: Precision = "float32"
+        self,
+        config: RewardConfig,
+        inputs: int,
+        generator: torch.Generator,
+        precision: Precision = "float32",
+        *,
+        linear: bool = False,
     ) -> None:
+        self._linear = linear
         self.net = StackedMLP(
             config.members, inputs, config.hidden, config.layers, 1,
             activation="leaky_relu", init="torch", generator=generator, precision=precision,
@@ -25,7 +32,8 @@ class BoundedEnsemble:
     def __call__(self, x: Tensor) -> Tensor:
         """Outputs [N, B, T] for inputs [B, T, D] shared by the members, or [N, B, T, D] of their own."""
         shape = x.shape[-3:-1]
-        return torch.tanh(self.net(x.flatten(-3, -2))).view(-1, *shape)
+        outputs = self.net(x.flatten(-3, -2))
+        return (outputs if self._linear else torch.tanh(outputs)).view(-1, *shape)
 
 
 class EnsembleReward:
@@ -40,8 +48,11 @@ class EnsembleReward:
         act_dim: int,
         generator: torch.Generator,
         precision: Precision = "float32",
+        *,
+        linear: bool = False,
     ) -> None:
-        self._ensemble = BoundedEnsemble(config, obs_dim + act_dim + self.extra_inputs, generator, precision)
+        inputs = obs_dim + act_dim + self.extra_inputs
+        self._ensemble = Ensemble(config, inputs, generator, precision, linear=linear)
 
     def members(self, segments: Segments) -> Tensor:
         return self._ensemble(torch.cat([segments.obs, segments.act], dim=-1))
@@ -50,6 +61,10 @@ class EnsembleReward:
     def predict(self, obs: Tensor, act: Tensor, prior: Tensor) -> Tensor:
         steps = Segments(obs.unsqueeze(0), act.unsqueeze(0), prior.unsqueeze(0))
         return self.members(steps).mean(dim=0).squeeze(0)
+
+    def penalty(self, rewards: Tensor, segments: Segments) -> Tensor:  # noqa: ARG002 (the seam other rewards use)
+        """The tanh is bound enough."""
+        return rewards.new_zeros(())
 
     def parameters(self) -> list[Tensor]:
         return self._ensemble.net.parameters()

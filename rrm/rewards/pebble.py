@@ -14,15 +14,35 @@ from torch import Tensor
 
 from rrm.config import RewardConfig
 from rrm.errors import NumericalError
-from rrm.interfaces import Agent, Feedback, RewardFunction
+from rrm.interfaces import Agent, Feedback, Needs, RewardFunction
 from rrm.losses import preference_logit, preference_loss
 from rrm.types import Batch, Segments, State
 
-_PAIRS_AT_ONCE = 16
+PAIRS_AT_ONCE = 16  #: of each member, forward and backward: their activations fit into the caches
+
+
+def told_right(logit: Tensor, target: Tensor) -> tuple[Tensor, Tensor]:
+    """Pairs whose label the members' log-odds [N, B] agree with, and pairs without a tie, over all members."""
+    clear = target != 0.5
+    right = ((logit > 0) == (target > 0.5)) & clear
+    return right.sum(), clear.sum()
+
+
+def checked(accuracy: float, loss: float, labels: int) -> dict[str, float]:
+    """What every fit returns.
+
+    Raises:
+        NumericalError: the loss is not finite.
+    """
+    if not np.isfinite(loss):
+        raise NumericalError(f"the loss of the reward is {loss} after {labels} labels")
+    return {"label_accuracy": accuracy, "reward_loss": loss}
 
 
 class Pebble:
     """Cross-entropy of the Bradley-Terry model, every member with its own order of the labels."""
+
+    needs = Needs()
 
     def __init__(self, reward: RewardFunction, config: RewardConfig, rng: np.random.Generator) -> None:
         """Args: rng: the stream that shuffles labels."""
@@ -46,9 +66,7 @@ class Pebble:
         while epochs < self.config.epochs and not accuracy > self.config.target_accuracy:
             accuracy, loss = self._epoch(feedback)
             epochs += 1
-        if not np.isfinite(loss):
-            raise NumericalError(f"the loss of the reward is {loss} after {len(feedback)} labels")
-        return {"label_accuracy": accuracy, "reward_loss": loss, "epochs": float(epochs)}
+        return {**checked(accuracy, loss, len(feedback)), "epochs": float(epochs)}
 
     def _epoch(self, feedback: Feedback) -> tuple[float, float]:
         members, count = self.config.members, len(feedback)
@@ -57,7 +75,7 @@ class Pebble:
         for index in torch.split(order, self.config.minibatch, dim=1):
             self._optimizer.zero_grad(set_to_none=True)
             # The gradient of a minibatch is the sum over its parts, which fit into the caches.
-            for part in torch.split(index, _PAIRS_AT_ONCE, dim=1):
+            for part in torch.split(index, PAIRS_AT_ONCE, dim=1):
                 figures += self._accumulate(feedback, part, part.shape[1] / index.shape[1])
             self._optimizer.step()
         right, decided, total = figures.tolist()
@@ -70,27 +88,41 @@ class Pebble:
             Pairs told right and pairs without a tie, over all members, and the summed loss.
         """
         first, second, target = feedback.pairs(index)
-        logit = self._logits(first, second)
-        loss = preference_loss(logit, target)
+        rewards, penalty = self._rewards(first, second)
+        logit = preference_logit(*rewards)
+        loss = preference_loss(logit, target) + penalty
         (loss * share).backward()  # type: ignore[no-untyped-call]
-        clear = target != 0.5
-        right = ((logit.detach() > 0) == (target > 0.5)) & clear
-        return torch.stack((right.sum(), clear.sum(), loss.detach() * index.shape[1]))
+        return torch.stack((*told_right(logit.detach(), target), loss.detach() * index.shape[1]))
 
-    def _logits(self, first: Segments, second: Segments) -> Tensor:
+    def _rewards(self, first: Segments, second: Segments) -> tuple[tuple[Tensor, Tensor], Tensor]:
+        """What every member says of each step of both segments, [N, B, T] each, and the penalty on it."""
         both = Segments(*(torch.cat([a, b], dim=1) for a, b in zip(first, second, strict=True)))
-        r_first, r_second = self.reward.members(both).chunk(2, dim=1)
-        return preference_logit(r_first, r_second)
+        rewards = self.reward.members(both)
+        r_first, r_second = rewards.chunk(2, dim=1)
+        return (r_first, r_second), self.reward.penalty(rewards, both)
 
-    def refine(self, batch: Batch, agent: Agent) -> bool:  # noqa: ARG002 (the seam other learners use)
+    def refine(self, batch: Batch, agent: Agent, feedback: Feedback) -> bool:  # noqa: ARG002 (the seam of others)
         """PEBBLE learns in sessions alone."""
         return False
 
+    def metrics(self) -> dict[str, float]:
+        """Nothing that `fit` does not return."""
+        return {}
+
     def state_dict(self) -> State:
-        return {"reward": self.reward.state_dict(), "optimizer": copy.deepcopy(self._optimizer.state_dict()["state"])}
+        return {"reward": self.reward.state_dict(), "optimizer": adam_state(self._optimizer)}
 
     def load_state_dict(self, state: State) -> None:
         self.reward.load_state_dict(state["reward"])
-        groups = self._optimizer.state_dict()["param_groups"]
-        moments = {int(key): value for key, value in state["optimizer"].items()}
-        self._optimizer.load_state_dict({"state": moments, "param_groups": groups})
+        load_adam_state(self._optimizer, state["optimizer"])
+
+
+def adam_state(optimizer: torch.optim.Optimizer) -> State:
+    """The optimiser's moments, as a checkpoint holds them."""
+    return copy.deepcopy(optimizer.state_dict()["state"])
+
+
+def load_adam_state(optimizer: torch.optim.Optimizer, state: State) -> None:
+    """Continue where `adam_state` was taken."""
+    moments = {int(key): value for key, value in state.items()}
+    optimizer.load_state_dict({"state": moments, "param_groups": optimizer.state_dict()["param_groups"]})

@@ -4,6 +4,11 @@
 
 The prior value is also an input of the network, so that the residual can cancel a prior it finds misleading. Whoever
 trains or queries the reward sees the sum; nothing else in the library knows that there are two parts.
+
+The tanh stands for a prior belief N(r; r0, sigma^2) about the reward (appendix "Motivating RRMs with MAP estimation").
+With `reward.bound = "gaussian"` the residual is f itself, and what that belief adds to the loss is its penalty:
+lambda f^2, in the mean over all steps of both segments. A reward without a prior has no r0 to be near: it keeps its
+tanh, as PEBBLE's does, and `bound` means nothing to it.
 """
 
 from __future__ import annotations
@@ -11,15 +16,34 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+from rrm.config import RewardConfig
+from rrm.precision import Precision
 from rrm.rewards.ensemble import EnsembleReward
 from rrm.types import Segments
 
 
 class ResidualReward(EnsembleReward):
-    """Prior plus bounded residual, by every member of an ensemble."""
+    """Prior plus residual, by every member of an ensemble."""
 
     extra_inputs = 1  #: the prior's value
+
+    def __init__(
+        self,
+        config: RewardConfig,
+        obs_dim: int,
+        act_dim: int,
+        generator: torch.Generator,
+        precision: Precision = "float32",
+    ) -> None:
+        gaussian = config.bound == "gaussian"
+        super().__init__(config, obs_dim, act_dim, generator, precision, linear=gaussian)
+        self._penalty = config.penalty if gaussian else 0.0
 
     def members(self, segments: Segments) -> Tensor:
         inputs = torch.cat([segments.obs, segments.act, segments.prior.unsqueeze(-1)], dim=-1)
         return segments.prior + self._ensemble(inputs)
+
+    def penalty(self, rewards: Tensor, segments: Segments) -> Tensor:
+        if not self._penalty:
+            return super().penalty(rewards, segments)
+        return self._penalty * (rewards - segments.prior).square().mean(dim=(-2, -1)).sum()

@@ -41,7 +41,7 @@ def build_sessions(config: RunConfig, experience: Experience, streams: Streams) 
     return Sessions(
         config, config.feedback,
         experience=experience, learner=learner, rng=streams.numpy("query"),
-        teacher=ScriptedTeacher(config.teacher, streams.numpy("teacher")),
+        teacher=ScriptedTeacher(config.teacher, streams.numpy("teacher")), unlabelled_rng=streams.numpy("unlabelled"),
     )  # fmt: skip
 
 

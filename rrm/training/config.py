@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+from collections.abc import Iterator
 from typing import Any, Self, TypeVar
 
 from pydantic import model_validator
@@ -80,14 +81,36 @@ class RunConfig(Section):
     def _feedback_can_be_met(self) -> None:
         if self.feedback is None or self.teacher is None:
             raise ConfigError(f"feedback and teacher: the learner {self.reward.learner!r} needs both")
-        if self.feedback.segment > self.episode_steps:
-            raise ConfigError(
-                f"feedback.segment: {self.feedback.segment} steps do not fit into an episode of {self.episode_steps}"
-            )
+        self.check_margin(self.reward.margin)
+        self._learner_fits(self.feedback.segment)
         if self.first_session >= self.steps:
             raise ConfigError(
                 f"steps: the run ends at {self.steps}, before the first feedback at {self.first_session} "
                 "(random and unsupervised steps, and two complete episodes, come first)"
+            )
+
+    def _learner_fits(self, segment: int) -> None:
+        surf, every, updates = self.reward.surf, self.reward.mrn.every, self.agent.update_every
+        longest = min(2 * surf.margin, segment - 1)
+        if self.reward.learner == "surf" and surf.crop > longest:
+            raise ConfigError(
+                f"reward.surf.crop: {surf.crop} steps more or less; {longest} at the most with segments of {segment} "
+                f"between margins of {surf.margin}"
+            )
+        if self.reward.learner == "mrn" and every % updates:
+            raise ConfigError(f"reward.mrn.every: {every} is not a multiple of agent.update_every, {updates}")
+
+    def check_margin(self, margin: int) -> None:
+        """Refuse segments that, with `margin` steps more on either side, are longer than an episode.
+
+        Raises:
+            ConfigError: they are.
+        """
+        assert self.feedback is not None  # the configuration has checked it
+        segment, longer = self.feedback.segment, f" and {margin} more on either side" if margin else ""
+        if segment + 2 * margin > self.episode_steps:
+            raise ConfigError(
+                f"feedback.segment: {segment} steps{longer} do not fit into an episode of {self.episode_steps}"
             )
 
     @property
@@ -134,8 +157,7 @@ class RunConfig(Section):
             changes |= {"feedback": None, "teacher": None}
             changes["exploration"] = ExplorationConfig(seed_steps=explore.seed_steps)
         else:
-            if reward.prior is None:
-                reward = _defaulted(reward, "normaliser")
+            reward = _defaulted(reward, *_idle(reward))
             if self.feedback is not None and self.feedback.sampler == "uniform":
                 changes["feedback"] = _defaulted(self.feedback, "pool")
             if not explore.unsupervised_steps:
@@ -197,8 +219,20 @@ class RunConfig(Section):
         return sizes
 
 
-def _defaulted(section: _S, field: str) -> _S:
-    return section.model_copy(update={field: type(section).model_fields[field].default})
+def _idle(reward: RewardConfig) -> Iterator[str]:
+    """Settings that mean nothing to how this reward is learned. A user's learner may be told anything."""
+    if reward.prior is None:  # the squared penalty, too, is the distance from a prior
+        yield from ("normaliser", "bound", "penalty")
+    if reward.bound == "tanh":
+        yield "penalty"
+    if not is_file_reference(reward.learner):
+        yield from (name for name in ("surf", "mrn") if name != reward.learner)
+    if reward.learner == "surf":
+        yield "target_accuracy"
+
+
+def _defaulted(section: _S, *fields: str) -> _S:
+    return section.model_copy(update={field: type(section).model_fields[field].default for field in fields})
 
 
 def _short(name: str) -> str:

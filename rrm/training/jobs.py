@@ -32,7 +32,10 @@ class Monitor(Protocol):
         """Sign of life, a few times a second."""
 
     def note(self, message: str) -> None:
-        """Something a person should find in the log."""
+        """Something a person should be told."""
+
+    def log(self, message: str) -> None:
+        """Something a person may look up in the log."""
 
     def should_stop(self) -> bool:
         """True: write a checkpoint and return."""
@@ -108,6 +111,7 @@ class _Session:
             trainer.advance()
             if trainer.step % config.evaluation.every == 0 or trainer.step == config.steps:
                 self.monitor.row(trainer.evaluate())
+                self._log_figures()
                 self._save()
             now = time.monotonic()
             if now - beat_at >= _BEAT_S:
@@ -120,6 +124,13 @@ class _Session:
         if trainer.step < config.steps and self._saved_step != trainer.step:
             self._save()
         return trainer.step == config.steps
+
+    def _log_figures(self) -> None:
+        sessions = self.trainer.sessions
+        figures = {} if sessions is None else sessions.learner.metrics()
+        if figures:
+            told = ", ".join(f"{name} {value:.4g}" for name, value in figures.items())
+            self.monitor.log(f"step {self.trainer.step}: {told}")
 
     def _save(self) -> None:
         trainer = self.trainer

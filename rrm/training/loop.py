@@ -126,11 +126,14 @@ class Trainer:
         agent = self.config.agent
         if not always and self.step % agent.update_every:
             return
-        batch = self.experience.sample(agent.batch, self._replay)
-        if self.sessions is not None and self.sessions.learner.refine(batch, self.agent):
-            self.sessions.relabel()
-            reward = self.sessions.learner.reward.predict(batch.obs, batch.act, batch.prior)
-            batch = batch._replace(reward=reward)
+        sessions = self.sessions
+        if sessions is not None and sessions.refinement_due(self.step):
+            limits_end = sessions.learner.needs.time_limits_end
+            batch = sessions.refine(
+                self.experience.sample(agent.batch, self._replay, time_limits_end=limits_end), self.agent
+            )
+        else:
+            batch = self.experience.sample(agent.batch, self._replay)
         self.agent.update(batch)
 
     def _update_on_entropy(self) -> None:

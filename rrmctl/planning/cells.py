@@ -15,7 +15,7 @@ from collections.abc import Iterator, Mapping
 from functools import cache
 from typing import Any
 
-from rrm.config import EvaluationConfig, ExplorationConfig, FeedbackConfig
+from rrm.config import EvaluationConfig, ExplorationConfig, FeedbackConfig, MrnConfig
 from rrm.envs.tasks import TASKS
 from rrm.teachers import TEACHERS
 from rrm.training.config import RunConfig
@@ -142,6 +142,7 @@ def _amounts(scale: str, task: str, kind: Kind) -> dict[str, int]:
         ("feedback", FeedbackConfig()),
         ("exploration", ExplorationConfig()),
         ("evaluation", EvaluationConfig()),
+        ("reward.mrn", MrnConfig()),
     ):
         values |= {f"{room}.{name}": value for name, value in model.model_dump().items()}
     for _, settings in _profile_settings(scale, task, kind):

@@ -11,6 +11,7 @@ in matrix products (`measure_gemm`):
     step       simulator + 0.3 ms                                     acting and storing
     session    epochs * n / minibatch * (0.5 ms + 1.2 * 12 P_reward * segment * minibatch * members / G)
                + 1.2 * 2 P_reward * members * step / G                n labels so far; relabelling the buffer
+               (SURF: segments with their margins, and its pairs without a label in each minibatch)
     evaluation episodes * steps of an episode * (simulator + 0.3 ms)
 
 The constants were fitted on one machine; the result is good to about a factor of 1.5. One job keeps one core busy.
@@ -177,7 +178,8 @@ def _reward_seconds(config: RunConfig, gemm: float) -> float:
     spec = config.spec()
     inputs = spec.obs_dim + spec.act_dim + (reward.prior is not None)
     weights = _weights(inputs, reward.hidden, reward.layers, 1) * reward.members
-    fit = _CALL_S + _SLACK * 12 * weights * feedback.segment * reward.minibatch / gemm
+    rows = (feedback.segment + 2 * reward.margin) * reward.minibatch * reward.pairs_per_label
+    fit = _CALL_S + _SLACK * 12 * weights * rows / gemm
     labels = min(feedback.batch * (sessions + 1) / 2, reward.capacity)  # the mean over the sessions
     stored = config.first_session + feedback.every * (sessions - 1) / 2
     relabel = _SLACK * 2 * weights * stored / gemm

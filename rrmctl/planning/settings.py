@@ -25,6 +25,7 @@ AMOUNTS = (
     "feedback.every", "feedback.batch", "feedback.budget", "feedback.segment",
     "exploration.seed_steps", "exploration.unsupervised_steps",
     "evaluation.every",
+    "reward.mrn.every",
 )  # fmt: skip
 
 #: Larger integers do not survive JSON and parquet.

@@ -77,9 +77,9 @@ class Opinions:
 @pytest.mark.parametrize("sampler", ["disagreement", "entropy", "kcenter", "kcenter-disagreement", "kcenter-entropy"])
 def test_every_sampler_returns_pairs_of_its_pool(sampler):
     """As many pairs as asked, of rows that exist."""
-    config = FeedbackConfig(sampler=sampler, segment=3, pool=5)
+    config = FeedbackConfig(sampler=sampler, pool=5)
     pairs = select(
-        config, 4, experience=lived([9, 9]), reward=Opinions(), labelled=np.zeros((0, 2), np.int64),
+        config, 4, segment=3, experience=lived([9, 9]), reward=Opinions(), labelled=np.zeros((0, 2), np.int64),
         rng=np.random.default_rng(0), first=False,
     )  # fmt: skip
     allowed = {*range(7), *range(10, 17)}
@@ -90,12 +90,12 @@ def test_every_sampler_returns_pairs_of_its_pool(sampler):
 def asked_and_pool(sampler, count=3, labelled=None):
     """What a sampler picks, and the pool it picked from."""
     experience = lived([30])
-    config = FeedbackConfig(sampler=sampler, segment=2, pool=20)
+    config = FeedbackConfig(sampler=sampler, pool=20)
     pool = uniform_pairs(experience.episodes, 2, 20 * count, np.random.default_rng(0))
     labelled = pool[:0] if labelled is None else labelled
     pairs = select(
-        config, count, experience=experience, reward=Opinions(), labelled=labelled, rng=np.random.default_rng(0),
-        first=False,
+        config, count, segment=2, experience=experience, reward=Opinions(), labelled=labelled,
+        rng=np.random.default_rng(0), first=False,
     )  # fmt: skip
     return pairs, pool, member_probabilities(experience, Opinions(), pool, 2)
 
@@ -132,15 +132,15 @@ def test_the_first_session_is_uniform():
     never = SimpleNamespace(members=None)
     args = {"experience": lived([9]), "reward": never, "labelled": np.zeros((0, 2), np.int64)}
     rng = np.random.default_rng
-    pairs = select(FeedbackConfig(segment=3), 4, rng=rng(0), first=True, **args)
+    pairs = select(FeedbackConfig(), 4, segment=3, rng=rng(0), first=True, **args)
     np.testing.assert_array_equal(uniform_pairs([Episode(0, 9)], 3, 4, rng(0)), pairs)
 
 
 def test_only_the_newest_episodes_are_asked_about():
     """The window counts episodes."""
-    config = FeedbackConfig(segment=2, window=1, sampler="uniform")
+    config = FeedbackConfig(window=1, sampler="uniform")
     pairs = select(
-        config, 50, experience=lived([5, 5]), reward=Opinions(), labelled=np.zeros((0, 2), np.int64),
+        config, 50, segment=2, experience=lived([5, 5]), reward=Opinions(), labelled=np.zeros((0, 2), np.int64),
         rng=np.random.default_rng(0), first=False,
     )  # fmt: skip
     assert set(itertools.chain.from_iterable(pairs.tolist())) == {6, 7, 8, 9}

@@ -33,13 +33,16 @@ class Recorder:
     """A monitor that keeps what it is told and stops the job after `patience` steps."""
 
     def __init__(self, patience=None):
-        self.rows, self.notes, self.beats, self.patience = {}, [], [], patience
+        self.rows, self.notes, self.logged, self.beats, self.patience = {}, [], [], [], patience
 
     def row(self, row):
         self.rows[row.step] = row
 
     def note(self, message):
         self.notes.append(message)
+
+    def log(self, message):
+        self.logged.append(message)
 
     def beat(self, step, steps_per_s):
         self.beats.append(step)

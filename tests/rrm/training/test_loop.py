@@ -180,7 +180,7 @@ def test_a_refined_reward_is_what_the_batch_is_trained_on(tiny, monkeypatch):
         trainer.advance()
     learner, seen = trainer.sessions.learner, []
 
-    def refine(batch, agent):
+    def refine(batch, agent, feedback):
         with torch.no_grad():
             for parameter in learner.reward.parameters():
                 parameter.mul_(1.5)

@@ -1,0 +1,136 @@
+"""SURF: PEBBLE with crops of segments, and with labels the members give themselves (Park et al. 2022).
+
+Segments come `margin` steps longer on either side than what the teacher saw. Every gradient step crops each pair: one
+random length for both segments, a random start for each. Pairs nobody was asked about count with the label that the
+same member gives to their middles, where it is sure enough. Departures from the authors' code: crops are differences of
+cumulative sums, ties are left out of the accuracy, and the accuracy is that of the middles.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from torch import Tensor
+
+from rrm.config import RewardConfig
+from rrm.interfaces import Feedback, Needs, RewardFunction
+from rrm.losses import preference_loss, pseudo_label_loss, window_sums
+from rrm.rewards.pebble import PAIRS_AT_ONCE, Pebble, checked, told_right
+from rrm.types import Segments, State
+
+
+class Surf(Pebble):
+    """Cross-entropy on crops, of labels and of the members' own pseudo-labels; `reward.surf` holds its settings."""
+
+    def __init__(self, reward: RewardFunction, config: RewardConfig, rng: np.random.Generator) -> None:
+        """Args: rng: the stream that shuffles labels and crops segments."""
+        super().__init__(reward, config, rng)
+        self.needs = Needs(margin=config.surf.margin, unlabelled=config.surf.unlabelled)
+        self._sure = float("nan")  # share of pseudo-labels that counted in the last pass
+
+    def fit(self, feedback: Feedback) -> dict[str, float]:
+        """`ceil(epochs * labels / minibatch)` gradient steps, however well the labels are told before.
+
+        Returns:
+            `label_accuracy` and `reward_loss` over the last pass over the labels, as `Pebble.fit` has them.
+
+        Raises:
+            NumericalError: the loss is not finite.
+        """
+        config, count = self.config, len(feedback)
+        labelled = _Deck(self._rng, config.members, count)
+        unlabelled = _Deck(self._rng, config.members, feedback.unlabelled)
+        steps, a_pass = (math.ceil(epochs * count / config.minibatch) for epochs in (config.epochs, 1))
+        figures, asked = torch.zeros(4), 0
+        for step in range(steps):
+            if step == steps - a_pass:
+                figures, asked = torch.zeros(4), 0
+            self._optimizer.zero_grad(set_to_none=True)
+            figures[:3] += self._labelled(feedback, labelled.draw(config.minibatch))
+            index = unlabelled.draw(config.minibatch * config.surf.ratio)
+            figures[2:] += self._unlabelled(feedback, index)
+            asked += index.numel()
+            self._optimizer.step()
+        right, decided, loss, sure = figures.tolist()
+        self._sure = sure / asked
+        return checked(right / decided if decided else float("nan"), loss / a_pass, count)
+
+    def _labelled(self, feedback: Feedback, index: Tensor) -> Tensor:
+        """Add the gradient of the labelled pairs at `index` [N, B]: pairs told right, pairs without a tie, loss."""
+        figures = torch.zeros(3)
+        for part in torch.split(index, PAIRS_AT_ONCE, dim=1):
+            first, second, target = feedback.pairs(part)
+            crop, middle, penalty = self._logits(first, second)
+            loss = (preference_loss(crop, target) + penalty) * (part.shape[1] / index.shape[1])
+            loss.backward()  # type: ignore[no-untyped-call]
+            figures += torch.stack((*told_right(middle, target), loss.detach()))
+        return figures
+
+    def _unlabelled(self, feedback: Feedback, index: Tensor) -> Tensor:
+        """Add the gradient of the pairs without a label at `index` [N, B]: loss, and pseudo-labels that count."""
+        figures = torch.zeros(2)
+        for part in torch.split(index, PAIRS_AT_ONCE, dim=1):
+            crop, middle, _ = self._logits(*feedback.unlabelled_pairs(part))
+            loss, sure = pseudo_label_loss(crop, middle, self.config.surf.threshold)
+            loss = loss * (self.config.surf.weight * part.shape[1] / index.shape[1])
+            loss.backward()  # type: ignore[no-untyped-call]
+            figures += torch.stack((loss.detach(), sure))
+        return figures
+
+    def _logits(self, first: Segments, second: Segments) -> tuple[Tensor, Tensor, Tensor]:
+        """Log-odds for the second of every pair, [N, B], cropped and (without gradient) uncropped; and the penalty."""
+        rewards, penalty = self._rewards(first, second)
+        steps = torch.cat(rewards, dim=1)
+        sums = window_sums(steps, *map(torch.from_numpy, self._windows(*steps.shape)))
+        by_first, by_second = sums.chunk(2, dim=1)
+        crop, middle = (by_second - by_first).unbind(dim=-1)
+        return crop, middle.detach(), penalty
+
+    def _windows(self, members: int, segments: int, steps: int) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
+        """Where windows begin and end, [N, 2 B, 2] each: a random crop of each segment, and its middle."""
+        surf = self.config.surf
+        middle = steps - 2 * surf.margin
+        length = self._rng.integers(
+            middle - surf.crop, middle + surf.crop, size=(members, segments // 2), endpoint=True
+        )
+        length = np.concatenate((length, length), axis=1)
+        start = self._rng.integers(0, steps - length, endpoint=True)
+        starts = np.stack((start, np.full_like(start, surf.margin)), axis=-1)
+        ends = np.stack((start + length, np.full_like(start, steps - surf.margin)), axis=-1)
+        return starts, ends
+
+    def metrics(self) -> dict[str, float]:
+        """`pseudo_labelled`: the share of unlabelled pairs that counted in the last pass; NaN before the first."""
+        return {"pseudo_labelled": self._sure}
+
+    def state_dict(self) -> State:
+        return super().state_dict() | {"sure": self._sure}
+
+    def load_state_dict(self, state: State) -> None:
+        super().load_state_dict(state)
+        self._sure = float(state["sure"])
+
+
+class _Deck:
+    """Minibatches of positions, drawn by every member in an order of its own; shuffled anew when all are drawn."""
+
+    def __init__(self, rng: np.random.Generator, members: int, count: int) -> None:
+        self._rng = rng
+        self._shape = members, count
+        self._shuffle()
+
+    def _shuffle(self) -> None:
+        members, count = self._shape
+        self._order = torch.from_numpy(np.stack([self._rng.permutation(count) for _ in range(members)]))
+        self._drawn = 0
+
+    def draw(self, size: int) -> Tensor:
+        """The next `size` positions, or what is left of this round: int64 [N, <= size]."""
+        if self._drawn >= self._shape[1]:
+            self._shuffle()
+        part = self._order[:, self._drawn : self._drawn + size]
+        self._drawn += size
+        return part
