@@ -8,7 +8,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 from torch.distributions import Normal, TanhTransform, TransformedDistribution
 
-from rrm.losses import preference_logit, preference_loss, squashed_gaussian_log_prob
+from rrm.losses import (
+    preference_logit,
+    preference_loss,
+    pseudo_label_loss,
+    squashed_gaussian_log_prob,
+    window_sums,
+)
 
 
 def test_preference_logit_by_hand() -> None:
@@ -68,3 +74,34 @@ def test_log_prob_is_finite_where_tanh_saturates() -> None:
     """Far out, where tanh rounds to one in float32, the density stays finite."""
     pre_tanh = torch.tensor([[60.0, -60.0]])
     assert squashed_gaussian_log_prob(torch.zeros(1, 2), torch.zeros(1, 2), pre_tanh).isfinite().all()
+
+
+@given(st.integers(1, 9), st.data())
+def test_window_sums_are_the_sums(steps: int, data: st.DataObject) -> None:
+    """Every window from start to end, the empty and the whole one included, is summed as a loop sums it."""
+    windows = data.draw(st.lists(st.tuples(*[st.integers(0, steps)] * 2).map(sorted), min_size=1, max_size=4))
+    rewards = torch.randn(2, 3, steps, dtype=torch.float64)
+    starts, ends = (edges.expand(2, 3, -1) for edges in torch.tensor(windows).unbind(dim=1))
+    sums = window_sums(rewards, starts, ends)
+    for k, (start, end) in enumerate(windows):
+        torch.testing.assert_close(rewards[..., start:end].sum(-1), sums[..., k])
+
+
+def test_pseudo_labels_by_hand() -> None:
+    """Sure opinions are labels, unsure ones count as nothing in the mean over all pairs, members add up."""
+    opinion = torch.tensor([[3.0, -3.0, 1.0, 0.0]] * 2, requires_grad=True)  # probabilities 0.953, 0.047, 0.731, 0.5
+    logits = torch.tensor([[math.log(3.0), math.log(3.0), 7.0, 7.0], [0.0, 0.0, 7.0, 7.0]], requires_grad=True)
+    loss, sure = pseudo_label_loss(logits, opinion, 0.95)
+    expected = (-math.log(0.75) - math.log(0.25)) / 4 + 2 * math.log(2) / 4
+    assert loss.item() == pytest.approx(expected, rel=1e-6)
+    assert sure.item() == 4
+    loss.backward()
+    assert opinion.grad is None
+    assert logits.grad is not None
+    assert logits.grad[:, 2:].tolist() == [[0.0, 0.0], [0.0, 0.0]]
+
+
+def test_a_pseudo_label_counts_from_the_threshold_on() -> None:
+    """A threshold of one half takes every opinion, and none is sure beyond one's reach."""
+    opinion = torch.tensor([[0.0, 0.1, -0.1]])
+    assert [pseudo_label_loss(opinion, opinion, t)[1].item() for t in (0.5, 0.51, 1.0)] == [3, 2, 0]
