@@ -49,6 +49,17 @@ def test_only_termination_cuts_the_bootstrap():
     assert torch.equal(batch.continues, (batch.obs[:, 1] < 2).float())
 
 
+def test_a_time_limit_can_be_asked_to_cut_it_too():
+    """Then whatever ends an episode does not continue, and nothing else of the batch is different."""
+    for terminated in (False, True):
+        experience = lived([3, 3], terminated=terminated, unfinished=1)
+        usual, cut = (
+            experience.sample(100, torch.Generator().manual_seed(0), time_limits_end=end) for end in (False, True)
+        )
+        assert torch.equal((cut.obs[:, 1] < 2).float(), cut.continues)
+        assert torch.equal(usual.obs, cut.obs)
+
+
 @given(lengths)
 def test_a_segment_stays_inside_its_episode(episode_lengths):
     """Rows from an episode's start are its steps in order, with their true rewards."""

@@ -4,10 +4,12 @@ import numpy as np
 import pytest
 import torch
 
-from rrm.config import RewardConfig
+from rrm.config import RewardConfig, SurfConfig
 from rrm.rewards.ensemble import EnsembleReward
+from rrm.rewards.mrn import Mrn
 from rrm.rewards.pebble import Pebble
 from rrm.rewards.residual import ResidualReward
+from rrm.rewards.surf import Surf
 from rrm.types import Segments
 
 CONFIG = RewardConfig(hidden=32, layers=2, lr=3e-3, epochs=60, minibatch=16)
@@ -41,6 +43,13 @@ class Labels:
         take = lambda s: Segments(*(field[index] for field in s))  # noqa: E731
         return take(self.first), take(self.second), self.target[index]
 
+    @property
+    def unlabelled(self):
+        return len(self)
+
+    def unlabelled_pairs(self, index):
+        return self.pairs(index)[:2]
+
 
 def test_members_are_bounded_and_differ():
     """Every member's reward lies in (-1, 1), and the members are independent networks."""
@@ -63,6 +72,47 @@ def test_the_residual_is_added_to_the_prior():
     for prior in (-4.0, 0.0, 10.0):
         values = model.members(steps(4, 6, prior=prior))
         assert ((values - prior).abs() < 1).all()
+
+
+GAUSSIAN = CONFIG.model_copy(update={"bound": "gaussian"})
+
+
+def test_a_gaussian_residual_has_no_bound():
+    """It is the network's own output, and can leave the unit interval; without a prior the reward stays in it."""
+    bounded, free = reward(ResidualReward), reward(ResidualReward, GAUSSIAN)
+    segments = steps(4, 6, prior=0.5)
+    residuals = [model.members(segments) - segments.prior for model in (bounded, free)]
+    torch.testing.assert_close(residuals[0], torch.tanh(residuals[1]))
+    with torch.no_grad():
+        for model in (free, plain := reward(EnsembleReward, GAUSSIAN)):
+            model.parameters()[-2].mul_(1000)
+    assert (free.members(segments) - segments.prior).abs().max() > 2
+    assert plain.members(segments).abs().max() <= 1
+
+
+def test_the_penalty_is_the_mean_square_of_the_residual():
+    """Over all steps, times lambda, the members added up; a tanh needs none, nor does a reward without a prior."""
+    segments, values = steps(2, 2, prior=1.0), torch.tensor([[[1.0, 2.0], [0.0, 1.0]], [[3.0, 1.0], [1.0, 1.0]]])
+    half = GAUSSIAN.model_copy(update={"penalty": 0.5})
+    assert reward(ResidualReward, GAUSSIAN).penalty(values, segments).item() == 2 / 4 + 4 / 4
+    assert reward(ResidualReward, half).penalty(values, segments).item() == 0.75
+    assert reward(ResidualReward).penalty(values, segments).item() == 0
+    assert reward(EnsembleReward, GAUSSIAN).penalty(values, segments).item() == 0
+
+
+@pytest.mark.parametrize("learner_class", [Pebble, Surf, Mrn])
+def test_every_learner_pays_the_penalty(learner_class):
+    """The dearer a residual, the smaller it stays, whoever trains it."""
+    size = []
+    for penalty in (0.0, 1.0, 100.0):
+        config = GAUSSIAN.model_copy(
+            update={"penalty": penalty, "surf": SurfConfig(margin=0, crop=0), "target_accuracy": 1.0}
+        )
+        labels = Labels(100, prior=lambda s: torch.zeros_like(s.obs[..., 0]))
+        learner = learner_class(reward(ResidualReward, config), config, np.random.default_rng(0))
+        learner.fit(labels)
+        size.append(float(learner.reward.members(labels.first).detach().abs().mean()))
+    assert size[0] > 3 * size[1] > 9 * size[2]
 
 
 def test_the_residual_sees_the_prior():

@@ -5,7 +5,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
-from rrm.config import ExplorationConfig, FeedbackConfig, RewardConfig, TeacherConfig
+from rrm.config import (
+    AgentConfig,
+    ExplorationConfig,
+    FeedbackConfig,
+    MrnConfig,
+    RewardConfig,
+    SurfConfig,
+    TeacherConfig,
+)
 from rrm.errors import RrmError
 from rrm.training.config import RunConfig
 
@@ -75,6 +83,43 @@ def test_what_cannot_change_numbers_does_not():
     assert run(**walker).identity == run(**walker, exploration=late).identity
 
 
+def learned(learner, **fields):
+    return run(reward=RewardConfig(learner=learner, **fields)).identity
+
+
+def test_settings_of_a_learner_count_for_it_alone():
+    """Each of SURF's and MRN's settings makes another run of that learner, and changes nothing for the others."""
+    others = {
+        "surf": {"threshold": 0.95, "ratio": 1, "unlabelled": 100, "weight": 0.5, "margin": 6, "crop": 4},
+        "mrn": {"every": 5000, "outer_weight": 0.2, "meta_optimizer": "separate", "faithful_done": True},
+    }
+    for name, section in (("surf", SurfConfig), ("mrn", MrnConfig)):
+        assert set(others[name]) == set(section.model_fields)
+        changed = [{name: section(**{field: value})} for field, value in others[name].items()]
+        assert len({learned(name), *(learned(name, **fields) for fields in changed)}) == len(changed) + 1
+        for other in {"pebble", "surf", "mrn", "true"} - {name}:
+            assert {learned(other)} == {learned(other, **fields) for fields in changed}
+    assert learned("surf") == learned("surf", target_accuracy=0.5)  # it never stops early
+
+
+def test_the_squared_penalty_counts_where_there_is_a_prior():
+    """The bound and its weight are another run of a residual model; a reward without a prior has nothing to be near."""
+    gaussian = {"bound": "gaussian", "prior": "proxy"}
+    assert len({learned("surf", **fields) for fields in (
+        {"prior": "proxy"}, gaussian, gaussian | {"penalty": 0.5},
+    )}) == 3  # fmt: skip
+    assert learned("surf", prior="proxy") == learned("surf", prior="proxy", penalty=0.5)
+    assert learned("surf") == learned("surf", bound="gaussian", penalty=0.5)
+
+
+def test_a_users_learner_may_be_told_anything(tmp_path):
+    """Sections of our learners stay where a file decides what it reads: it may build on one of them."""
+    (tmp_path / "mine.py").write_text("class Mine: ...")
+    mine = f"{tmp_path}/mine.py:Mine"
+    assert learned(mine) != learned(mine, surf=SurfConfig(margin=7))
+    assert learned(mine) != learned(mine, mrn=MrnConfig(every=7))
+
+
 def test_identities_are_stable():
     """These digests must never change: results on disk are known by them. A change of numbers raises CONFIG_VERSION."""
     assert run().identity == "73241a693b7e8edb"
@@ -107,6 +152,9 @@ def test_a_users_file_counts_by_its_content(tmp_path):
         ({"reward": RewardConfig(learner="true")}, "oracle"),
         ({"reward": RewardConfig(prior="proxy")}, "rrm-proxy"),
         ({"reward": RewardConfig(learner="prior", prior="h2o")}, "sac-h2o"),
+        ({"reward": RewardConfig(learner="surf")}, "surf"),
+        ({"reward": RewardConfig(learner="surf", prior="proxy")}, "rrm-surf-proxy"),
+        ({"reward": RewardConfig(learner="mrn", prior="proxy")}, "rrm-mrn-proxy"),
     ],
 )
 def test_methods_are_named_as_in_the_tables(fields, method):
@@ -128,6 +176,22 @@ def test_methods_are_named_as_in_the_tables(fields, method):
         ({"feedback": None}, "needs both"),
         ({"steps": 1000, "reward": RewardConfig(learner="true")}, "before the first update"),
         ({"reward": RewardConfig(options={"a": 1})}, "takes none"),
+        (
+            {"horizon": 59, "reward": RewardConfig(learner="surf")},
+            "feedback.segment: 50 steps and 5 more on either side do not fit into an episode of 59",
+        ),
+        (
+            {"reward": RewardConfig(learner="surf", surf=SurfConfig(crop=11))},
+            "reward.surf.crop: 11 steps more or less; 10 at the most with segments of 50 between margins of 5",
+        ),
+        (
+            {"feedback": FeedbackConfig(segment=5), "reward": RewardConfig(learner="surf")},
+            "reward.surf.crop: 5 steps more or less; 4 at the most",
+        ),
+        (
+            {"agent": AgentConfig(update_every=3), "reward": RewardConfig(learner="mrn")},
+            "reward.mrn.every: 10000 is not a multiple of agent.update_every, 3",
+        ),
     ],
 )
 def test_what_cannot_be_run_is_refused(fields, message):

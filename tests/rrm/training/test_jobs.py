@@ -7,7 +7,7 @@ import textwrap
 
 import pytest
 
-from rrm.config import TeacherConfig
+from rrm.config import MrnConfig, SurfConfig, TeacherConfig
 from rrm.training.jobs import train
 
 METHODS = [
@@ -19,6 +19,10 @@ METHODS = [
         "prior": "proxy", "normaliser": "zscore", "sampler": "kcenter-entropy",
         "teacher": TeacherConfig(beta=2.0, gamma=0.9, mistake=0.1, skip=0.1, equal=0.1),
     },
+    {"learner": "surf", "surf": SurfConfig(threshold=0.6)},
+    {"learner": "surf", "surf": SurfConfig(threshold=0.6), "prior": "proxy", "bound": "gaussian"},
+    {"learner": "mrn", "mrn": MrnConfig(every=20)},
+    {"learner": "mrn", "mrn": MrnConfig(every=20, meta_optimizer="separate", faithful_done=True), "prior": "proxy"},
 ]  # fmt: skip
 
 
@@ -30,6 +34,7 @@ def interrupted(config, folder, recorder, patience, **options):
         pieces += 1
         finished = train(config, folder, piece, **options)
         together.rows |= piece.rows
+        together.logged += piece.logged
         if finished:
             return together, pieces
 
@@ -45,6 +50,18 @@ def test_a_run_in_pieces_is_the_run(tiny, recorder, networks, tmp_path, method, 
     assert count > 5
     assert straight.numbers() == pieces.numbers()
     assert networks(tmp_path / "a") == networks(tmp_path / "b")
+    assert set(straight.logged) <= set(pieces.logged)
+
+
+def test_what_a_learner_says_of_itself_is_logged(tiny, recorder, tmp_path):
+    """Beside each evaluation stand the learner's own figures; PEBBLE has none."""
+    for name, figures in (("pebble", []), ("surf", ["pseudo_labelled"]), ("mrn", ["meta_gradient", "meta_cosine"])):
+        monitor = recorder()
+        train(tiny(name, mrn=MrnConfig(every=20)), tmp_path / name, monitor)
+        lines = [line for line in monitor.logged if line.startswith(("step 250: ", "step 500: ", "step 700: "))]
+        assert len(lines) == (3 if figures else 0)
+        assert all(f"{figure} " in line for line in lines for figure in figures)
+        assert "nan" not in "".join(lines)
 
 
 def test_checkpoints_at_other_times_change_nothing(tiny, recorder, networks, tmp_path):

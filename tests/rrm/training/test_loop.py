@@ -4,7 +4,9 @@ import numpy as np
 import pytest
 import torch
 
-from rrm.errors import NumericalError, PriorError
+from rrm.config import MrnConfig, SurfConfig
+from rrm.errors import ConfigError, NumericalError, PriorError
+from rrm.interfaces import Needs
 from rrm.training.loop import Trainer
 
 
@@ -208,3 +210,95 @@ def test_a_prior_beyond_float32_is_refused(tiny, tmp_path):
     file.write_text("def huge(step):\n    return 1e39\n")
     with pytest.raises(PriorError, match=r"huge.* at step 0 returned 1e\+39"):
         Trainer(tiny(prior=f"{file}:huge")).advance()
+
+
+def test_the_teacher_sees_the_middle_of_what_surf_sees(tiny, monkeypatch):
+    """Segments are stored with their margins inside one episode; the true rewards told are those without."""
+    trainer, asked = Trainer(tiny("surf", surf=SurfConfig(margin=7))), []
+    label = trainer.sessions.teacher.label
+    monkeypatch.setattr(trainer.sessions.teacher, "label", lambda rewards: (asked.append(rewards), label(rewards))[1])
+    for _ in range(320):
+        trainer.advance()
+    assert [rewards[0].shape for rewards in asked] == [(10, 10), (10, 10)]
+    starts = trainer.sessions.preferences.pairs
+    steps = starts[..., None] + 7 + np.arange(10)
+    told = np.concatenate([np.stack(rewards, axis=1) for rewards in asked])
+    np.testing.assert_array_equal(trainer.experience.true_reward.numpy()[steps], told)
+    for pairs in (starts, trainer.sessions.unlabelled.pairs):
+        assert ((pairs % 51) + 24 <= 50).all()  # 50 steps of an episode, and a row for its last observation
+    first, _, _ = trainer.sessions._feedback.pairs(torch.arange(3))
+    assert first.obs.shape == (3, 24, 15)
+
+
+def test_pairs_without_a_label_are_drawn_for_every_query(tiny):
+    """So many per query asked, kept all along, from a stream of their own: the queries stay what they were."""
+    few, many = (Trainer(tiny("surf", surf=SurfConfig(unlabelled=n), sampler="uniform")) for n in (2, 9))
+    for trainer in (few, many):
+        for _ in range(151):
+            trainer.advance()
+    assert [len(t.sessions.unlabelled) for t in (few, many)] == [20, 90]
+    np.testing.assert_array_equal(few.sessions.preferences.pairs, many.sessions.preferences.pairs)
+    for _ in range(400):
+        many.advance()
+    assert len(many.sessions.unlabelled) == 9 * 25
+    assert len(Trainer(tiny()).sessions.unlabelled) == 0
+
+
+def refined(tiny, monkeypatch, steps, **fields):
+    """At which steps MRN's reward is refined, and the batches it is given."""
+    trainer, calls = Trainer(tiny("mrn", **fields)), []
+    refine = trainer.sessions.learner.refine
+    monkeypatch.setattr(
+        trainer.sessions.learner, "refine",
+        lambda batch, *rest: (calls.append((trainer.step, batch)), refine(batch, *rest))[1],
+    )  # fmt: skip
+    for _ in range(steps):
+        trainer.advance()
+    return trainer, calls
+
+
+def test_mrn_refines_between_sessions_until_the_questions_are_spent(tiny, monkeypatch):
+    """At multiples of `every` after the first session, a session first where both fall on one step, and no further."""
+    _, calls = refined(tiny, monkeypatch, 620, mrn=MrnConfig(every=75))
+    assert [step for step, _ in calls] == [225, 300, 375]  # sessions at 150, 300 and 450, where the budget ends
+    assert all(batch.continues.min() == 1 for _, batch in calls)
+
+
+def test_the_update_after_a_refinement_is_on_the_new_reward(tiny, monkeypatch):
+    """Reward of the batch and of everything stored are what the reward says after its step on the outer loss."""
+    trainer, _ = refined(tiny, monkeypatch, 225, mrn=MrnConfig(every=75), prior="proxy")
+    seen, update, before = [], trainer.agent.update, trainer.sessions.learner.reward.state_dict()["weights"]
+    monkeypatch.setattr(trainer.agent, "update", lambda batch: (seen.append(batch), update(batch)))
+    trainer.advance()
+    learned = trainer.sessions.learner.reward
+    assert not torch.equal(before, learned.state_dict()["weights"])
+    torch.testing.assert_close(learned.predict(seen[0].obs, seen[0].act, seen[0].prior), seen[0].reward)
+    rows, past = trainer.experience.since(0), trainer.experience
+    torch.testing.assert_close(learned.predict(past.obs[rows], past.act[rows], past.prior[rows]), past.reward[rows])
+
+
+def test_time_limits_end_an_episode_where_mrns_code_has_it_so(tiny, monkeypatch):
+    """With `faithful_done` the batch of those steps stops at time limits, and that of every other step does not."""
+    trainer, calls = refined(tiny, monkeypatch, 226, mrn=MrnConfig(every=75, faithful_done=True))
+    generator = torch.Generator().manual_seed(0)
+    whole, cut = (
+        trainer.experience.sample(4000, generator.manual_seed(0), time_limits_end=end) for end in (False, True)
+    )
+    assert whole.continues.min() == 1
+    assert (cut.continues == 0).float().mean() == pytest.approx(1 / 50, abs=0.01)
+    assert torch.equal(whole.obs, cut.obs)
+    trainer.sessions.learner.needs = Needs(refine_every=1, time_limits_end=True)
+    while all(batch.continues.min() == 1 for _, batch in calls):
+        trainer.advance()
+        assert trainer.step < 320
+
+
+def test_a_learners_margins_must_fit_into_an_episode(tiny, tmp_path):
+    """A user's learner says what it needs when it is made; segments that cannot be drawn are refused then."""
+    file = tmp_path / "mine.py"
+    file.write_text(
+        "from rrm.interfaces import Needs\nfrom rrm.rewards.pebble import Pebble\n"
+        "class Wide(Pebble):\n    needs = Needs(margin=21)\n"
+    )
+    with pytest.raises(ConfigError, match="10 steps and 21 more on either side do not fit into an episode of 50"):
+        Trainer(tiny(f"{file}:Wide"))

@@ -53,6 +53,7 @@ def test_what_costs_more() -> None:
         {"agent": {"batch": 1024}}, {"agent": {"hidden": 512}}, {"evaluation": {"every": 1000}}, {"steps": 40_000},
         {"reward": {"learner": "pebble"}},
         {"reward": {"learner": "pebble"}, "exploration": {"unsupervised_steps": 9000}},
+        {"reward": {"learner": "surf"}},
     ):  # fmt: skip
         assert model_seconds(oracle(**dearer), 100 * GIGA) > base
 

@@ -102,12 +102,60 @@ def test_paper_budgets(task: str, steps: int, feedback: str, epochs: int) -> Non
         ("sac-h2o", "prior", "h2o"),
         ("rrm-o2g", "pebble", "o2g"),
         ("rrm-pebble-o2g", "pebble", "o2g"),
+        ("surf", "surf", None),
+        ("rrm-surf-proxy", "surf", "proxy"),
+        ("mrn", "mrn", None),
+        ("rrm-mrn-proxy", "mrn", "proxy"),
     ],
 )
 def test_method_names(name: str, learner: str, prior: str | None) -> None:
     """A method's name says its learner and its prior."""
     job = make_plan(made({"tasks": ["button-press"], "methods": [name]})).jobs[0]
     assert (job.config.reward.learner, job.config.reward.prior) == (learner, prior)
+
+
+def test_surfs_and_mrns_feedback() -> None:
+    """Budgets of Fig. base; batch and schedule of the two methods' own code; baselines explore first (decisions 8, 32)."""
+    found = {}
+    for name in ("surf", "mrn"):
+        plan = make_plan(manifest.load(EXPERIMENTS / f"{name}.toml"), seeds="1")
+        for job in plan.jobs:
+            found[job.task, job.method] = job.feedback, job.config.exploration.unsupervised_steps
+            assert job.config.reward.epochs == (20 if "surf" in job.method else 10)
+    for task, name, feedback in (
+        ("button-press", "surf", "50@5000/2000"),
+        ("sweep-into", "surf", "50@5000/5000"),
+        ("door-open", "mrn", "10@5000/1000"),
+        ("button-press", "mrn", "10@5000/100"),
+    ):
+        assert found[task, name] == (feedback, 9000)
+        assert found[task, f"rrm-{name}-proxy"] == (feedback, 0)
+        assert (task, "oracle") in found
+
+
+@pytest.mark.parametrize("scale", list(profiles()))
+def test_mrn_refines_at_every_scale(scale: str) -> None:
+    """Between the first session and the one that spends the budget there are steps on the outer loss."""
+    for job in make_plan(manifest.load(EXPERIMENTS / "mrn.toml"), profile=scale, seeds="1").jobs:
+        config = job.config
+        if config.feedback is not None:
+            last = config.first_session + (config.sessions() - 1) * config.feedback.every
+            assert last > (config.first_session // config.reward.mrn.every + 1) * config.reward.mrn.every
+
+
+def test_settings_of_a_learner() -> None:
+    """They are set like any other, a profile shrinks MRN's interval, and what does not fit names its layer."""
+    grid = {"tasks": ["button-press"], "methods": ["surf", "mrn"]}
+    experiment = made(grid, defaults={"reward": {"mrn": {"every": 20_000}, "surf": {"threshold": 0.9}}})
+    surf, mrn = (only(make_plan(experiment, seeds="1"), name).config.reward for name in ("surf", "mrn"))
+    assert (surf.surf.threshold, mrn.mrn.every) == (0.9, 20_000)
+    assert only(make_plan(experiment, profile="laptop", seeds="1"), "mrn").config.reward.mrn.every == 10_000
+    error = refused(experiment, overrides=["reward.surf.crop=30"])
+    assert "reward.surf.crop: 30 steps more or less; 10 at the most" in str(error)
+    assert "is set in --set" in str(error.hint)
+    assert 'unknown setting "reward.surf.treshold"; did you mean "reward.surf.threshold"' in str(
+        refused(experiment, overrides=["reward.surf.treshold=0.5"])
+    )
 
 
 def test_sections_win_in_order() -> None:

@@ -1,0 +1,38 @@
+"""SURF and MRN, alone and under the residual model, from their manifests to what the store holds."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from rrmctl.cli.app import app
+from rrmctl.store import load, planned
+from rrmctl.store.layout import Layout
+
+EXPERIMENTS = Path(__file__).parents[3] / "experiments"
+
+
+@pytest.mark.slow
+@pytest.mark.sim
+@pytest.mark.parametrize(
+    ("name", "tasks", "figure"),
+    [("surf", "button-press,sweep-into", "pseudo_labelled"), ("mrn", "door-open,button-press", "meta_gradient")],
+)
+def test_a_smoke_sweep(tmp_path: Path, name: str, tasks: str, figure: str) -> None:
+    """Every run of the manifest ends, has learned from labels, and its log has the learner's own figures."""
+    arguments = ["run", name, "--experiments", str(EXPERIMENTS), "--profile", "smoke", "--seeds", "1"]
+    result = CliRunner().invoke(app, [*arguments, "--tasks", tasks, "--results", str(tmp_path)])
+    assert result.exit_code == 0, result.output
+    runs = planned(tmp_path, name)
+    assert set(runs["state"]) == {"done"}
+    assert set(runs["method"]) == {"oracle", name, f"rrm-{name}-proxy"}
+    last = load(tmp_path, name).query("step == 600").set_index(["task", "method"])
+    assert len(last) == 6
+    for (_, method), row in last.iterrows():
+        learns = method != "oracle"
+        assert (row["labels"] > 0) == learns
+        log = Layout(tmp_path).run(row["run"]).log.read_text()
+        assert (re.search(rf"step 600: .*{figure} \d", log) is not None) == learns
