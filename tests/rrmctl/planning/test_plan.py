@@ -115,7 +115,7 @@ def test_method_names(name: str, learner: str, prior: str | None) -> None:
 
 
 def test_surfs_and_mrns_feedback() -> None:
-    """Budgets of Fig. base; batch and schedule of the two methods' own code; baselines explore first (decisions 8, 32)."""
+    """Budgets of Fig. base; batch and schedule of the two methods' own code; the baselines explore first."""
     found = {}
     for name in ("surf", "mrn"):
         plan = make_plan(manifest.load(EXPERIMENTS / f"{name}.toml"), seeds="1")
