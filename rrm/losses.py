@@ -57,13 +57,12 @@ def pseudo_label_loss(logits: Tensor, opinion: Tensor, threshold: float) -> tupl
 
     Args:
         logits: log-odds for segment 1 by every member, float32 [N, B].
-        opinion: log-odds by which each member labels, float32 [N, B]; no gradient enters them.
+        opinion: log-odds by which each member labels, float32 [N, B]; a label has no gradient in them.
         threshold: probability of the likelier segment from which on the label counts.
 
     Returns:
         The loss, a float32 scalar, averaged over *all* pairs and summed over members; and how many labels counted.
     """
-    opinion = opinion.detach()
     sure = torch.sigmoid(opinion.abs()) >= threshold
     losses = binary_cross_entropy_with_logits(logits, (opinion > 0).to(logits.dtype), reduction="none")
     return (losses * sure).mean(dim=-1).sum(), sure.sum()

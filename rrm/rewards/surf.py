@@ -81,13 +81,13 @@ class Surf(Pebble):
         return figures
 
     def _logits(self, first: Segments, second: Segments) -> tuple[Tensor, Tensor, Tensor]:
-        """Log-odds for the second of every pair, [N, B], cropped and (without gradient) uncropped; and the penalty."""
+        """Log-odds for the second of every pair, [N, B]: cropped, and of the middles; and the penalty."""
         rewards, penalty = self._rewards(first, second)
         steps = torch.cat(rewards, dim=1)
         sums = window_sums(steps, *map(torch.from_numpy, self._windows(*steps.shape)))
         by_first, by_second = sums.chunk(2, dim=1)
         crop, middle = (by_second - by_first).unbind(dim=-1)
-        return crop, middle.detach(), penalty
+        return crop, middle, penalty
 
     def _windows(self, members: int, segments: int, steps: int) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
         """Where windows begin and end, [N, 2 B, 2] each: a random crop of each segment, and its middle."""

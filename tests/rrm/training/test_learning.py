@@ -2,7 +2,7 @@
 
 import pytest
 
-from rrm.config import AgentConfig, EvaluationConfig, ExplorationConfig, FeedbackConfig, RewardConfig
+from rrm.config import AgentConfig, EvaluationConfig, ExplorationConfig, FeedbackConfig, MrnConfig, RewardConfig
 from rrm.training.config import RunConfig
 from rrm.training.jobs import train
 
@@ -36,9 +36,11 @@ def test_it_reaches_the_goal(recorder, tmp_path, reward, steps):
 
 
 @pytest.mark.slow
-def test_preferences_alone_teach_the_true_order(recorder, tmp_path):
-    """PEBBLE's reward agrees with the true one on most fresh pairs, having started at chance."""
-    monitor = recorder()
-    train(run(RewardConfig(hidden=64, layers=2, lr=1e-3, minibatch=64, epochs=20), 6000), tmp_path, monitor)
+@pytest.mark.parametrize("learner", ["pebble", "surf", "mrn"])
+def test_preferences_alone_teach_the_true_order(recorder, tmp_path, learner):
+    """The reward agrees with the true one on most fresh pairs, having started at chance."""
+    monitor, mrn = recorder(), MrnConfig(every=1000)
+    reward = RewardConfig(learner=learner, hidden=64, layers=2, lr=1e-3, minibatch=64, epochs=20, mrn=mrn)
+    train(run(reward, 6000), tmp_path, monitor)
     assert monitor.rows[6000].true_accuracy > 0.75
     assert monitor.rows[6000].labels == 220
