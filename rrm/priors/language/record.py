@@ -64,7 +64,7 @@ def read_record(path: Path) -> Record:
         ConfigError: the file cannot be read, or has no record or a damaged one.
     """
     try:
-        lines = path.read_text(encoding="utf-8").splitlines()
+        lines = path.read_text(encoding="utf-8").split("\n")
     except (OSError, UnicodeDecodeError) as error:
         raise ConfigError(f"cannot read {path}: {error}") from error
     if _BEGIN not in lines or _END not in lines[lines.index(_BEGIN) :]:
@@ -80,5 +80,7 @@ def read_record(path: Path) -> Record:
 
 
 def _toml(fields: dict[str, Any]) -> list[str]:
-    # JSON's strings and numbers are TOML's.
-    return [f"# {name} = {json.dumps(value)}" for name, value in fields.items() if value is not None]
+    # JSON's strings and numbers are TOML's, surrogates aside.
+    return [
+        f"# {name} = {json.dumps(value, ensure_ascii=False)}" for name, value in fields.items() if value is not None
+    ]

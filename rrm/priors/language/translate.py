@@ -17,7 +17,6 @@ from typing import Any
 from rrm.errors import RefusedCodeError
 from rrm.priors.language.expressions import Expressions
 from rrm.priors.language.scope import Scope
-from rrm.priors.language.words import namespace
 
 ENTRY = "reward"  #: the function that is the prior
 
@@ -41,6 +40,8 @@ class Admitted:
         Raises:
             RefusedCodeError: one of its constants cannot be computed.
         """
+        from rrm.priors.language.guards import namespace  # numpy, which planning does without
+
         room = namespace()
         try:
             exec(compile(self.tree, self.where, "exec", dont_inherit=True), room)  # noqa: S102  (it is what we made)
