@@ -47,10 +47,10 @@ def try_out(task: Task, path: Path, walk: Walk, seconds: float = SECONDS) -> Dou
                 env=environment | {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "PYTHONUTF8": "1"},
             )  # fmt: skip
         except subprocess.TimeoutExpired:
-            raise PriorError(f"{path}: not done after {seconds} s") from None
+            raise PriorError(f"{path.name}: not done after {seconds:g} s") from None
     if done.returncode:
         last = done.stderr.decode(errors="replace").strip().splitlines()[-1:]
-        raise PriorError(f"{path}: its process ended with {done.returncode}: {''.join(last) or 'no message'}")
+        raise PriorError(f"{path.name}: its process ended with {done.returncode}: {''.join(last) or 'no message'}")
     answer = json.loads(done.stdout)
     if "error" in answer:
         raise PriorError(answer["error"])

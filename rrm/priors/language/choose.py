@@ -48,6 +48,8 @@ def add(task: Task, paths: Sequence[Path], origin: Origin, folder: Path) -> tupl
     for text in (origin.model, origin.date, *(path.name for path in paths)):
         if not text.strip() or not text.isprintable():
             raise ConfigError(f"{text!r} cannot stand in a record; use printable text")
+    if len({path.name for path in paths}) < len(paths):
+        raise ConfigError("two candidates have the same file name; the record tells them apart by it")
     codes = [_read(path) for path in paths]
     candidates = judge(task, paths, codes, walk(task))
     kept = best(candidates)
@@ -70,10 +72,10 @@ def judge(task: Task, paths: Sequence[Path], codes: Sequence[bytes], lived: Walk
     refused: dict[int, str] = {}
     for index, (path, code) in enumerate(zip(paths, codes, strict=True)):
         try:
-            check_reads(admit(code, str(path)), task)
+            check_reads(admit(code, path.name), task)
             values = try_out(task, path, lived)
             if np.ptp(values) == 0:
-                raise PriorError(f"{path}: says {values.flat[0]:g} of every step")
+                raise PriorError(f"{path.name}: says {values.flat[0]:g} of every step")
             sums[index] = segment_sums(values)
         except RrmError as error:
             refused[index] = str(error)

@@ -63,7 +63,7 @@ def make_prompt(task: Task, *, skeleton: bool) -> str:
     if task.name not in _LINES:
         raise ConfigError(f"there is no prompt for {task.name}; there is one for: {', '.join(_LINES)}")
     parts = [f"{_LINES[task.name]} The environment code is:", source_without_reward(task).rstrip("\n"), _INSTRUCTION]
-    return "\n\n".join([*parts, _skeleton(task)] if skeleton else [*parts, ""])
+    return "\n\n".join([*parts, _skeleton(task)]) if skeleton else "\n\n".join(parts) + "\n"
 
 
 def _skeleton(task: Task) -> str:

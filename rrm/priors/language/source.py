@@ -19,16 +19,16 @@ from rrm.errors import ConfigError
 
 _WORD = "reward"
 
-#: Where the class that computes a task's dynamics, observation and reward is.
-_MODULES = {
-    "button-press": "metaworld.envs.sawyer_button_press_v3",
-    "door-open": "metaworld.envs.sawyer_door_v3",
-    "door-unlock": "metaworld.envs.sawyer_door_unlock_v3",
-    "sweep-into": "metaworld.envs.sawyer_sweep_into_goal_v3",
-    "window-open": "metaworld.envs.sawyer_window_open_v3",
-    "walker-walk": "dm_control.suite.walker",
-    "quadruped-walk": "dm_control.suite.quadruped",
-    "toy-car": "rrm.envs.toy_car",
+#: The file with the class of a task's environment, from the folder that its package is installed in.
+_FILES = {
+    "button-press": "metaworld/envs/sawyer_button_press_v3.py",
+    "door-open": "metaworld/envs/sawyer_door_v3.py",
+    "door-unlock": "metaworld/envs/sawyer_door_unlock_v3.py",
+    "sweep-into": "metaworld/envs/sawyer_sweep_into_goal_v3.py",
+    "window-open": "metaworld/envs/sawyer_window_open_v3.py",
+    "walker-walk": "dm_control/suite/walker.py",
+    "quadruped-walk": "dm_control/suite/quadruped.py",
+    "toy-car": "rrm/envs/toy_car.py",
 }
 
 Span = tuple[int, int]  #: of characters
@@ -40,12 +40,17 @@ def source_without_reward(task: Task) -> str:
     Raises:
         ConfigError: the task has no prompt, its package is not installed, or a mention of a reward is left over.
     """
-    if task.name not in _MODULES:
-        raise ConfigError(f"there is no prompt for {task.name}; there is one for: {', '.join(_MODULES)}")
-    spec = importlib.util.find_spec(_MODULES[task.name])
-    if spec is None or spec.origin is None:
-        raise ConfigError(f"{_MODULES[task.name]} is not installed; reinstall with: pip install rrmctl")
-    return without_reward(Path(spec.origin).read_text(encoding="utf-8"), _MODULES[task.name])
+    if task.name not in _FILES:
+        raise ConfigError(f"there is no prompt for {task.name}; there is one for: {', '.join(_FILES)}")
+    package, _, inside = _FILES[task.name].partition("/")
+    spec = importlib.util.find_spec(package)  # found, not imported: simulators take a second to load
+    if spec is None or not spec.submodule_search_locations:
+        raise ConfigError(f"{package} is not installed; `rrmctl doctor` says how to")
+    path = Path(spec.submodule_search_locations[0]) / inside
+    try:
+        return without_reward(path.read_text(encoding="utf-8"), str(path))
+    except OSError as error:
+        raise ConfigError(f"cannot read {path}: {error.strerror}") from error
 
 
 def without_reward(source: str, where: str) -> str:

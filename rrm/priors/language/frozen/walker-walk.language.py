@@ -2,7 +2,7 @@
 # task = "walker-walk"
 # model = "GPT-5"
 # date = "unknown, before the paper"
-# prompt_sha256 = "f0bc8fd02d4069c496e92913b1347db85e444b076b8be03cdd3eb4a75eb7cc9f"
+# prompt_sha256 = "45ae32400ab148585e623c78108714a7896ed1fc1927a56c8a1dc3395c158711"
 # kept = "walker-walk.py"
 # note = "as printed in the paper (appendix, Language rewards), in terms of a step's accessors; range [0, 2]; the prompt is rrmctl's, after the paper's; scores of the paper's candidates are not published"
 #
