@@ -160,10 +160,12 @@ def _span(node: ast.AST, places: _Places) -> Span:
     if isinstance(node, ast.stmt):
         first = min([node.lineno, *(mark.lineno for mark in getattr(node, "decorator_list", []))])
         return places.starts[first - 1], places.starts[node.end_lineno]
-    rest = re.compile(r"\s*(=[^,()]*)?,?[ \t]*\n?[ \t]*")
-    default = rest.match(places.source, places.at(node.end_lineno, node.end_col_offset))
-    assert default is not None  # the pattern matches nothing, too
-    return places.at(node.lineno, node.col_offset), default.end()
+    line, begin = places.starts[node.lineno - 1], places.at(node.lineno, node.col_offset)
+    rest = re.compile(r"\s*(=[^,()]*)?,?[ \t]*\n?").match(
+        places.source, places.at(node.end_lineno, node.end_col_offset)
+    )
+    assert rest is not None  # the pattern matches nothing, too
+    return line if places.source[line:begin].isspace() else begin, rest.end()
 
 
 def _comments(source: str) -> list[Span]:

@@ -148,7 +148,7 @@ def test_skeleton(name):
     [
         ("import rewards, os\nx = 1\n", "x = 1\n"),
         ("def f(a, reward=1, *, b):\n    return a\n", "def f(a, *, b):\n    return a\n"),
-        ("def f(\n    a,\n    reward: int = 2,\n):\n    return a\n", "def f(\n    a,\n    ):\n    return a\n"),
+        ("def f(\n    a,\n    reward: int = 2,\n):\n    return a\n", "def f(\n    a,\n):\n    return a\n"),
         ("class A:\n    def get_reward(self):\n        return 1\n    x = 2\n", "class A:\n    x = 2\n"),
         ("class A:\n    '''Text.'''\n    def get_reward(self):\n        return 1\n\ny = 1\n", "y = 1\n"),
         ("@mark(1)\n@other\ndef reward():\n    return 1\ny = 1\n", "y = 1\n"),
