@@ -29,7 +29,7 @@ from rrm.priors.language.translate import admit
 from rrm.priors.step import PriorStep, Scene
 
 SECONDS = 60  #: by the clock on the wall; of the processor likewise
-_MEMORY = 1 << 30  # bytes of address space
+_MEMORY = 4 << 30  # bytes of address space; libraries reserve much more of it than they use
 
 
 def try_out(task: Task, path: Path, walk: Walk, seconds: float = SECONDS) -> Doubles:

@@ -211,7 +211,7 @@ def test_a_process_that_dies_is_a_refusal(tmp_path, lived):
     [
         ("open('/etc/hostname')", "OSError"),
         ("open('x', 'w')", "OSError"),
-        ("bytearray(1 << 31)", "MemoryError"),
+        ("bytearray(5 << 30)", "MemoryError"),
         ("import socket; socket.socket()", "OSError"),
     ],
 )
