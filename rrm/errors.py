@@ -30,6 +30,10 @@ class PriorError(RrmError):
     """A prior that raised, or returned something other than one finite number."""
 
 
+class RefusedCodeError(PriorError):
+    """Code of a language model that goes beyond what such code may do; the message names the line."""
+
+
 class CheckpointError(RrmError):
     """A checkpoint that is missing or torn."""
 

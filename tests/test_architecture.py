@@ -32,6 +32,7 @@ KNOW_RRM = {
     ),  # names and settings become configurations
     *("running.runfile", "running.worker"),  # a configuration's way into the process that trains
     "cli.app",  # errors become messages
+    "cli.prior",  # candidates of a language model become priors of the library
 }
 #: Light, and the one place for what they say: tasks and how they are scored, errors, durable writes, arithmetic.
 FACTS = {"rrm.envs.tasks", "rrm.errors", "rrm.files", "rrm.precision"}

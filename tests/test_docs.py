@@ -88,6 +88,6 @@ def test_the_readme_lists_the_experiments():
     assert set(rows) == {path.stem for path in (ROOT / "experiments").glob("*.toml")}
     for name, methods in rows.items():
         planned = {method for grid in load(ROOT / "experiments" / f"{name}.toml").grids for method in grid.methods}
-        told = re.sub(r"rrm-\{the same\}", lambda _: "rrm-{proxy, o2g, h2o, sparse}", methods)
+        told = re.sub(r"rrm-\{the same\}", lambda _: "rrm-{proxy, o2g, h2o, sparse, language}", methods)
         told = re.sub(r"(\w+-)\{(.*?)\}", lambda m: ", ".join(m[1] + n for n in m[2].split(", ")), told)
         assert set(told.split(", ")) == planned, name

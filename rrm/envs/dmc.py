@@ -2,13 +2,13 @@
 
 Observations are the suite's, concatenated in its own order. Actions lie in [-1, 1] and are mapped to the suite's
 bounds, which differ from joint to joint in the quadruped. The true reward is the suite's, in [0, 1]; there is no
-success criterion, and `info` is empty.
+success criterion. `info` holds the outcomes of `rrm.envs.tasks`, read from the suite's accessors after the step.
 """
 
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import mujoco
@@ -26,6 +26,19 @@ with warnings.catch_warnings():
 #: Everything that integration depends on, the solver's warm start included.
 _SPEC = mujoco.mjtState.mjSTATE_INTEGRATION
 _LONGEST = 1000
+
+#: The suite's accessors of what a step led to, by domain. Speeds in m/s, heights in metres.
+_OUTCOMES: dict[str, dict[str, Callable[[Any], float]]] = {
+    "walker": {
+        "torso_upright": lambda physics: physics.torso_upright(),
+        "torso_height": lambda physics: physics.torso_height(),
+        "forward_velocity": lambda physics: physics.horizontal_velocity(),  # of the centre of mass
+    },
+    "quadruped": {
+        "torso_upright": lambda physics: physics.torso_upright(),
+        "forward_velocity": lambda physics: physics.torso_velocity()[0],  # in the torso's frame
+    },
+}
 
 
 class DmcEnv(TaskEnv):
@@ -46,6 +59,7 @@ class DmcEnv(TaskEnv):
         if horizon > _LONGEST:
             raise ConfigError(f"horizon is {horizon}; the suite's episodes have {_LONGEST} steps at the most")
         self.sim = suite.load(domain, task, task_kwargs={"random": 0})  # seeded anew at every reset
+        self._outcomes = _OUTCOMES.get(domain, {})
         actions = self.sim.action_spec()
         self._middle = (actions.maximum + actions.minimum) / 2
         self._half = (actions.maximum - actions.minimum) / 2
@@ -69,7 +83,8 @@ class DmcEnv(TaskEnv):
             raise NumericalError(
                 f"the simulation diverged at step {self._steps} under action {action.tolist()}: {error}"
             ) from error
-        return _flat(step.observation), step.reward, {}
+        physics = self.sim.physics
+        return _flat(step.observation), step.reward, {name: float(of(physics)) for name, of in self._outcomes.items()}
 
     def _save(self) -> State:
         physics = self.sim.physics

@@ -33,6 +33,7 @@ class Task:
     entry_point: str  #: dotted path of the environment's class
     kwargs: Mapping[str, str] = field(default_factory=dict)  #: arguments of that class
     features: Mapping[str, slice] = field(default_factory=dict)  #: name -> where in the observation
+    outcomes: tuple[str, ...] = ()  #: physical quantities after a step, in its `info`, that a prior may read
 
     @property
     def env_id(self) -> str:
@@ -55,12 +56,12 @@ def _metaworld(name: str) -> Task:
     )  # fmt: skip
 
 
-def _dmc(name: str, obs_dim: int, act_dim: int, upright: int) -> Task:
+def _dmc(name: str, obs_dim: int, act_dim: int, upright: int, outcomes: tuple[str, ...]) -> Task:
     domain, _, task_name = name.partition("-")
     return Task(
         name=name, suite="dmc", score="return", horizon=1000, obs_dim=obs_dim, act_dim=act_dim,
         entry_point="rrm.envs.dmc:DmcEnv", kwargs={"domain": domain, "task": task_name},
-        features={"upright": slice(upright, upright + 1)},
+        features={"upright": slice(upright, upright + 1)}, outcomes=outcomes,
     )  # fmt: skip
 
 
@@ -76,8 +77,8 @@ TASKS: dict[str, Task] = {
     t.name: t
     for t in (
         *map(_metaworld, ("button-press", "door-open", "door-unlock", "sweep-into", "window-open")),
-        _dmc("walker-walk", 24, 6, upright=0),
-        _dmc("quadruped-walk", 78, 12, upright=47),
+        _dmc("walker-walk", 24, 6, upright=0, outcomes=("torso_upright", "torso_height", "forward_velocity")),
+        _dmc("quadruped-walk", 78, 12, upright=47, outcomes=("torso_upright", "forward_velocity")),
         _TOY_CAR,
     )
 }

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from rrm.envs.tasks import Task
 from rrm.errors import ConfigError, PriorError, UnknownNameError
+from rrm.priors import language
 from rrm.priors.evaluate import evaluate_prior
 from rrm.registry import check_file, is_file_reference, lookup
 
@@ -28,6 +29,7 @@ PRIORS: dict[str, str] = {
     "zero": "rrm.priors.proxy:zero",
     "opposite": "rrm.priors.proxy:opposite",
     "random": "rrm.priors.proxy:random",
+    "language": "rrm.priors.language:language",
 }
 
 
@@ -36,8 +38,10 @@ def load_prior(name: str) -> Callable[[PriorStep], float]:
 
     Raises:
         UnknownNameError, ConfigError: no such prior, file or function, or the file does not import.
-        PriorError: what the file holds under that name cannot be called.
+        PriorError: what the file holds under that name cannot be called, or a frozen file's code is refused.
     """
+    if language.is_frozen(name):
+        return language.load(name)
     prior: Any = lookup(PRIORS, "prior", name)
     if not callable(prior):
         raise PriorError(f"prior {name!r} is a {type(prior).__name__}; a prior is a function of one PriorStep")
@@ -49,10 +53,14 @@ def check_prior(name: str, task: Task) -> None:
     """Refuse, before a run, a prior that is unknown or reads what the task does not reveal.
 
     A file of the user's must hold the prior; it is not run here but at the start of the run, in the run's own process.
+    A frozen language prior must be within its subset and be written for the task.
 
     Raises:
-        UnknownNameError, ConfigError: with what is known, or what is missing and what would do.
+        UnknownNameError, ConfigError, PriorError: with what is known, or what is missing and what would do.
     """
+    if language.is_frozen(name):
+        language.check(name, task)
+        return
     if is_file_reference(name):
         check_file(name, "prior")
         return
@@ -60,18 +68,18 @@ def check_prior(name: str, task: Task) -> None:
         if ".py" in name:
             raise ConfigError(f"prior {name!r}: a prior of your own is named path/to/file.py:function")
         raise UnknownNameError("prior", name, PRIORS)
-    if not _suits(name, task):
-        wanted = " or ".join(", ".join(names) for names in _needs(name))
-        raise ConfigError(
-            f'prior "{name}" reads {wanted}, which {task.name} does not reveal; it reveals: {", ".join(task.reveals)}. '
-            f"Priors for {task.name}: {', '.join(known for known in sorted(PRIORS) if _suits(known, task))}"
-        )
+    refusal = _refusal(name, task)
+    if refusal:
+        suited = ", ".join(known for known in sorted(PRIORS) if not _refusal(known, task))
+        raise ConfigError(f'prior "{name}" {refusal}. Priors for {task.name}: {suited}')
 
 
-def _needs(name: str) -> tuple[tuple[str, ...], ...]:
-    declared: tuple[tuple[str, ...], ...] = lookup(PRIORS, "prior", name).needs
-    return declared
-
-
-def _suits(name: str, task: Task) -> bool:
-    return any(set(names) <= set(task.reveals) for names in _needs(name))
+def _refusal(name: str, task: Task) -> str | None:
+    """Why a prior of ours cannot serve the task; None where it can."""
+    prior = lookup(PRIORS, "prior", name)
+    if hasattr(prior, "tasks"):
+        return None if task.name in prior.tasks else f"has no function for {task.name}"
+    if any(set(names) <= set(task.reveals) for names in prior.needs):
+        return None
+    reads = " or ".join(", ".join(names) for names in prior.needs)
+    return f"reads {reads}, which {task.name} does not reveal; it reveals: {', '.join(task.reveals)}"

@@ -5,6 +5,7 @@ from __future__ import annotations
 import traceback
 from collections.abc import Callable
 from numbers import Real
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rrm.errors import PriorError
@@ -13,6 +14,7 @@ if TYPE_CHECKING:
     from rrm.priors.step import PriorStep
 
 _LARGEST = 3.4e38  # of a float32
+_GUARDS = str(Path(__file__).with_name("language") / "guards.py")  # stand between a model's code and its arithmetic
 
 
 def evaluate_prior(prior: Callable[[PriorStep], float], step: PriorStep, where: str) -> float:
@@ -55,5 +57,5 @@ def _shown(value: Any) -> str:
 
 
 def _line(error: BaseException) -> str:
-    frames = traceback.extract_tb(error.__traceback__)[1:]  # the first is ours
+    frames = [frame for frame in traceback.extract_tb(error.__traceback__)[1:] if frame.filename != _GUARDS]
     return f" ({frames[-1].filename}, line {frames[-1].lineno})" if frames else ""

@@ -75,7 +75,7 @@ class Scene:
 
 @dataclass(frozen=True, slots=True)
 class PriorStep(Scene):
-    """One step (s_t, a_t). Features and `obs` are of s_t, before the step; `info` and `success` are its outcome."""
+    """One step (s_t, a_t). Features and `obs` are of s_t, before the step; the rest is its outcome."""
 
     act: Floats  #: float32 [A], in [-1, 1]
     info: Mapping[str, float]  #: of the environment's step
@@ -88,3 +88,24 @@ class PriorStep(Scene):
         if self.task.score != "success":
             raise PriorError(f'{self.task.name} has no "success"; it reveals: {", ".join(self.task.reveals)}')
         return float(self.info["success"])
+
+    @property
+    def torso_upright(self) -> float:
+        """The z component of the torso's z axis after the step, in [-1, 1]."""
+        return self._outcome("torso_upright")
+
+    @property
+    def torso_height(self) -> float:
+        """Of the torso after the step, metres."""
+        return self._outcome("torso_height")
+
+    @property
+    def forward_velocity(self) -> float:
+        """After the step, m/s: the walker's centre of mass along x, the quadruped's torso along its own x axis."""
+        return self._outcome("forward_velocity")
+
+    def _outcome(self, name: str) -> float:
+        if name not in self.task.outcomes:
+            there = ", ".join(self.task.outcomes) or "none"
+            raise PriorError(f'{self.task.name} does not tell "{name}" of a step; what it tells: {there}')
+        return float(self.info[name])

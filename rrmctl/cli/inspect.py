@@ -38,11 +38,12 @@ _STYLES = {"ok": "green", "note": "yellow", "missing": "bold red"}
 def list_(experiments: ExperimentsOption = DEFAULT_EXPERIMENTS, as_json: JsonOption = False) -> None:
     """List the experiments: what each compares, and which figure or table of the paper it makes.
 
-    An experiment is one TOML file; a new one is a new file.
+    An experiment is one TOML file; a new one is a new file. Below stand the names that methods are made of.
     """
     from rich.table import Table
 
     from rrmctl.planning.manifest import available, load
+    from rrmctl.planning.methods import vocabulary
 
     good, bad = [], []
     for path in available(experiments):
@@ -58,6 +59,7 @@ def list_(experiments: ExperimentsOption = DEFAULT_EXPERIMENTS, as_json: JsonOpt
             figures = ", ".join(entry["reproduces"])
             table.add_row(entry["name"], figures, str(entry["jobs"]), entry["profile"], entry["title"])
         _console().print(table)
+        _console().print(vocabulary())
     if bad:
         raise UserError("\n".join(bad))
 

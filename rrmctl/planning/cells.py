@@ -22,7 +22,7 @@ from rrm.training.config import RunConfig
 from rrmctl.errors import UserError
 from rrmctl.planning.grid import Row
 from rrmctl.planning.manifest import DEFAULT_FEEDBACK, Manifest, nearest
-from rrmctl.planning.methods import Method
+from rrmctl.planning.methods import TASK, Method
 from rrmctl.planning.profiles import PAPER, Kind, Layer, profile, profiles
 from rrmctl.planning.settings import AMOUNTS, Checked, flatten, resolve
 
@@ -61,7 +61,7 @@ def configure(manifest: Manifest, row: Row, method: Method, scale: str, override
     """
     decided: Flat = {"task": row.task, "seed": 0, "profile": scale, "reward.learner": method.learner}
     if method.prior is not None:
-        decided["reward.prior"] = method.prior
+        decided["reward.prior"] = method.prior.replace(TASK, row.task)
     ratios = _ratios(scale, row.task, method.kind)
     layers = [Checked(layer.where, settings) for layer, settings in _profile_settings(scale, row.task, method.kind)]
     layers += [_scaled(layer, ratios, scale) for layer in _manifest_layers(manifest, row, method)]

@@ -17,6 +17,8 @@ from rrmctl.planning.profiles import Kind
 
 #: The learner that a residual method's name leaves out.
 BASE_LEARNER = "pebble"
+#: In the path of a user's file: the task's name, for files that come one a task.
+TASK = "{task}"
 
 
 @dataclass(frozen=True)
@@ -44,6 +46,14 @@ def grammar() -> dict[str, tuple[str, str | None]]:
     names |= {f"rrm-{learner}-{prior}": (learner, prior) for learner in LEARNERS for prior in PRIORS}
     names |= {f"rrm-{prior}": (BASE_LEARNER, prior) for prior in PRIORS}
     return names
+
+
+def vocabulary() -> str:
+    """How methods are named, and the learners and priors there are."""
+    return (
+        "methods: oracle, LEARNER, sac-PRIOR, rrm-PRIOR, rrm-LEARNER-PRIOR\n"
+        f"learners: {', '.join(sorted(LEARNERS))}\npriors: {', '.join(sorted(PRIORS))}"
+    )
 
 
 def method(name: str, own: Mapping[str, MethodTable], folder: Path, where: str) -> Method:
@@ -92,6 +102,8 @@ def _named(name: str, what: str, known: Mapping[str, str] | tuple[str, ...], fol
     if is_file_reference(name):
         location, _, attribute = name.rpartition(":")
         path = (folder / location).resolve()
+        if TASK in location:
+            return f"{path}:{attribute}"  # checked for each task
         try:
             check_file(f"{path}:{attribute}", what)
         except ConfigError as error:

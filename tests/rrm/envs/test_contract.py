@@ -205,7 +205,9 @@ def test_planning_imports_nothing_heavy():
     """Looking at tasks and checking priors loads neither torch nor gymnasium nor a simulator."""
     code = (
         "import sys; from rrm.envs import TASKS; from rrm.priors import check_prior\n"
-        "for t in TASKS.values(): check_prior('proxy', t)\n"
+        "from rrm.priors.language import FROZEN\n"
+        "for t in TASKS.values():\n"
+        "    for prior in ('proxy', 'language', f'{FROZEN}/{t.name}.language.py:reward'): check_prior(prior, t)\n"
         "heavy = {'torch', 'numpy', 'gymnasium', 'metaworld', 'mujoco', 'dm_control', 'cv2', 'scipy'}\n"
         "print(sorted(heavy & set(sys.modules)))"
     )

@@ -62,7 +62,34 @@ def test_walker_reward(envs):
     for act in np.random.default_rng(0).uniform(-1, 1, (30, 6)).astype(np.float32):
         _, reward, _, _, info = env.step(act)
         assert reward == env.sim.task.get_reward(env.sim.physics)
-        assert info == {}
+        assert set(info) == set(task("walker-walk").outcomes)
+
+
+#: The walker's links: shares of the body's mass times the way to their centres, and how joint speeds add up along them.
+AHEAD = np.array([-0.18781096352828952, -0.10886750568723871, -0.061055257943788105, 0] + [0] * 3)
+AHEAD[4:6] = AHEAD[1:3]
+ASIDE = np.array([0, 0, 0, 0.004403023409407842, 0, 0, 0.004403023409407842])
+CHAIN = np.array([[1, *(-(k <= i) for k in range(3)), 0, 0, 0] for i in range(-1, 3)]
+                 + [[1, 0, 0, 0, *(-(k <= i) for k in range(3))] for i in range(3)], float)  # fmt: skip
+
+
+def test_walker_outcomes(envs):
+    """Speed of the centre of mass, uprightness and height after the step; all three follow from the observation."""
+    env = envs["walker-walk"]
+    env.reset(seed=3)
+    for obs, *_, info in steps(env):
+        turning = CHAIN @ obs[17:24]
+        speed = obs[16] + (turning * (AHEAD * obs[0:14:2] - ASIDE * obs[1:14:2])).sum()
+        expected = {"forward_velocity": speed, "torso_upright": obs[0], "torso_height": obs[14]}
+        assert info == pytest.approx(expected, abs=1e-5)
+
+
+def test_quadruped_outcomes(envs):
+    """Speed along the torso's own axis and uprightness after the step, as in the observation."""
+    env = envs["quadruped-walk"]
+    env.reset(seed=3)
+    for obs, *_, info in steps(env):
+        assert info == pytest.approx({"forward_velocity": obs[44], "torso_upright": obs[47]}, abs=1e-5)
 
 
 def test_instances(envs):

@@ -20,7 +20,7 @@ def state(name, **features):
 
 def step(name, *, success=0.0, seed=0, **features):
     spec, obs = task(name), state(name, **features)
-    info = {"success": success} if spec.score == "success" else {}
+    info = {"success": success} if spec.score == "success" else dict.fromkeys(spec.outcomes, 0.5)
     act = np.zeros(spec.act_dim, np.float32)
     return PriorStep(spec, obs, act, info, np.random.default_rng(seed), Scene(spec, obs))
 
@@ -126,7 +126,7 @@ def test_hidden_features(name, feature, revealed):
         getattr(step(name), feature)
 
 
-EVERYWHERE = {"proxy", "opposite", "zero", "random"}
+EVERYWHERE = {"language", "proxy", "opposite", "zero", "random"}
 
 
 @pytest.mark.parametrize("prior", PRIORS)
@@ -150,7 +150,7 @@ def test_refusal():
     with pytest.raises(
         ConfigError,
         match=r'prior "o2g" reads object, goal, which walker-walk does not reveal; it reveals: upright\. '
-        r"Priors for walker-walk: opposite, proxy, random, zero",
+        r"Priors for walker-walk: language, opposite, proxy, random, zero",
     ):
         check_prior("o2g", task("walker-walk"))
     with pytest.raises(ConfigError, match='prior "sparse" reads success, which quadruped-walk does not reveal'):

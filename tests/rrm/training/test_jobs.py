@@ -15,6 +15,7 @@ METHODS = [
     {"learner": "prior", "prior": "random"},
     {},
     {"prior": "proxy"},
+    {"prior": "language"},
     {
         "prior": "proxy", "normaliser": "zscore", "sampler": "kcenter-entropy",
         "teacher": TeacherConfig(beta=2.0, gamma=0.9, mistake=0.1, skip=0.1, equal=0.1),

@@ -480,6 +480,43 @@ def test_smoke_passes_through_everything() -> None:
         assert (config.exploration.unsupervised_steps > 0) == (job.method == "pebble")
 
 
+def test_less_feedback() -> None:
+    """Fig. less: fewer questions a session, or rarer ones, over 500,000 steps of each Meta-World task of Fig. main."""
+    jobs = make_plan(manifest.load(EXPERIMENTS / "less-feedback.toml"), seeds="1").jobs
+    budgets = {"50@5000/5000", "25@5000/2500", "10@5000/1000", "5@5000/500", "50@10000/2500", "50@20000/1250"}
+    assert {job.config.steps for job in jobs} == {500_000}
+    for task in ("button-press", "door-open", "door-unlock", "sweep-into"):
+        for method in ("pebble", "rrm-proxy", "rrm-language"):
+            assert {job.feedback for job in jobs if (job.task, job.method) == (task, method)} == budgets
+    assert all(job.config.queries() == job.config.feedback.budget for job in jobs if job.method != "pebble")  # type: ignore[union-attr]
+    main = {job.id for job in make_plan(manifest.load(EXPERIMENTS / "main-results.toml"), seeds="1").jobs}
+    assert {job.task for job in jobs if job.id in main} == {"button-press", "door-open", "door-unlock"}
+
+
+def test_opposite_prior() -> None:
+    """Fig. oppo: door-unlock for a million steps; button-press is that of the ablation."""
+    jobs = make_plan(manifest.load(EXPERIMENTS / "opposite-prior.toml"), seeds="1").jobs
+    lengths = {"button-press": 500_000, "door-unlock": 1_000_000}
+    assert {(job.task, job.method): job.config.steps for job in jobs} == {
+        (task, method): steps for task, steps in lengths.items() for method in ("pebble", "rrm-opposite")
+    }
+    ablation = {job.id for job in make_plan(manifest.load(EXPERIMENTS / "ablation-prior.toml"), seeds="1").jobs}
+    assert {job.task for job in jobs if job.id in ablation} == {"button-press"}
+
+
+def test_a_prior_a_task(tmp_path: Path) -> None:
+    """{task} in a file's path is the task's name; without such a file the task is refused, and named."""
+    (tmp_path / "toy-car.py").write_text("def near(step):\n    return 0.0\n")
+    table = {
+        "title": "T", "reproduces": ["F"], "rule": "R", "seeds": 1, "method": {"mine": {"prior": "{task}.py:near"}},
+        "grid": {"tasks": ["toy-car"], "methods": ["mine"]},
+    }  # fmt: skip
+    job = make_plan(manifest.parse(table, tmp_path / "mine.toml")).jobs[0]
+    assert job.config.reward.prior == f"{tmp_path / 'toy-car.py'}:near"
+    table["grid"] = {"tasks": ["toy-car", "door-open"], "methods": ["mine"]}
+    assert "door-open, mine: " in str(refused(manifest.parse(table, tmp_path / "mine.toml")))
+
+
 NAMES = st.sampled_from(
     ["toy-car", "button-press", "walker-walk", "oracle", "pebble", "rrm-zero", "sac-h2o", "none", "x"]
 )

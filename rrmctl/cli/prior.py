@@ -1,0 +1,101 @@
+"""`prior language`: the prompt for a language model, and what becomes of its answers."""
+
+from __future__ import annotations
+
+import os
+from datetime import datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from rrmctl.cli.options import DEFAULT_EXPERIMENTS, ExperimentsOption
+from rrmctl.errors import UserError
+
+if TYPE_CHECKING:
+    from rrm.priors.language.record import Record
+
+prior_app = typer.Typer(no_args_is_help=True, help="Prepare priors that are not functions of your own.")
+language_app = typer.Typer(no_args_is_help=True, help="Priors that a language model writes, in any chat.")
+prior_app.add_typer(language_app, name="language")
+
+TaskArgument = Annotated[str, typer.Argument(metavar="TASK", help="A task, such as button-press.")]
+
+
+@language_app.command("prompt")
+def prompt(
+    task: TaskArgument,
+    skeleton: Annotated[
+        bool, typer.Option("--skeleton", help="End with the function that the answer is to fill in.")
+    ] = False,
+) -> None:
+    """Print the prompt for a task: a line on it, its environment's source without the reward, and the instruction.
+
+    Without --skeleton it is the paper's, and an answer has to be transcribed by hand.
+
+    Example:
+
+      rrmctl prior language prompt button-press --skeleton > prompt.txt
+    """
+    from rrm.envs.tasks import task as task_of
+    from rrm.priors.language.prompt import make_prompt
+
+    typer.echo(make_prompt(task_of(task), skeleton=skeleton), nl=False)
+
+
+@language_app.command("add")
+def add(
+    task: TaskArgument,
+    files: Annotated[
+        list[Path], typer.Argument(metavar="FILE...", help="Candidates, each with a function reward(step).")
+    ],
+    model: Annotated[str, typer.Option("--model", help="Which model wrote them.")],
+    date: Annotated[datetime, typer.Option("--date", formats=["%Y-%m-%d"], help="When it did.")],
+    prompt_file: Annotated[
+        Path | None,
+        typer.Option("--prompt", metavar="FILE", help="The prompt that was sent. Default: that with the skeleton."),
+    ] = None,
+    into: Annotated[
+        Path | None,
+        typer.Option("--into", metavar="DIR", help="Where to freeze it. Default: priors, beside the experiments."),
+    ] = None,
+    experiments: ExperimentsOption = DEFAULT_EXPERIMENTS,
+) -> None:
+    """Try candidates that a language model wrote, keep the best and freeze it with its origin as TASK.language.py.
+
+    Candidates are not trusted: their code is checked against a small subset of Python and tried in a process of its
+    own, on a random walk. The one that most agrees with the others is kept; the true reward is not looked at.
+
+    Example:
+
+      rrmctl prior language add button-press answer-*.py --model GPT-5 --date 2025-10-01
+    """
+    from rrm.envs.tasks import task as task_of
+    from rrm.priors.language.choose import Origin
+    from rrm.priors.language.choose import add as freeze
+    from rrm.priors.language.prompt import make_prompt
+
+    os.environ.setdefault("MUJOCO_GL", "disabled")  # nothing is rendered
+    spec = task_of(task)
+    text = make_prompt(spec, skeleton=True) if prompt_file is None else _read(prompt_file)
+    origin = Origin(model=model, date=f"{date:%Y-%m-%d}", prompt=text)
+    target, record = freeze(spec, files, origin, into or experiments.absolute().parent / "priors")
+    _show(record)
+    name = os.path.relpath(target)
+    typer.echo(
+        f'\nfrozen: {name}\nuse it: --prior {name}:reward, or prior = "{name}:reward" in a manifest\'s [method.NAME]'
+    )
+
+
+def _show(record: Record) -> None:
+    for candidate in record.candidates:
+        score = "the only one left" if candidate.score is None else f"{candidate.score:.4f}"
+        kept = "*" if candidate.file == record.kept else " "
+        typer.echo(f"{kept} {candidate.refused or f'{candidate.file}: {score}'}")
+
+
+def _read(path: Path) -> str:
+    try:
+        return path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise UserError(f"cannot read {path}: {error}") from error

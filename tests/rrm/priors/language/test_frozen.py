@@ -1,0 +1,183 @@
+"""The frozen functions that come with the library, and those of users."""
+
+import math
+
+import numpy as np
+import pytest
+from pydantic import ValidationError
+
+from rrm.config import RewardConfig
+from rrm.envs import TASKS, task
+from rrm.errors import ConfigError, PriorError
+from rrm.priors import check_prior, load_prior
+from rrm.priors.language import FROZEN, check, load
+from rrm.priors.language.prompt import make_prompt
+from rrm.priors.language.record import Candidate, Record, freeze, read_record, sha256
+from rrm.priors.step import PriorStep, Scene
+from rrm.training.config import RunConfig
+from tests.rrm.priors.language.steps import code, random_step
+
+every_task = pytest.mark.parametrize("name", TASKS)
+
+
+def shipped(name):
+    return FROZEN / f"{name}.language.py"
+
+
+def frozen(folder, body="return step.hand[0]", name="toy-car", file="mine.language.py"):
+    """A frozen file of the user's, as `file:reward`."""
+    source = code(body)
+    record = Record(
+        task=name, model="M", date="2026-01-02", prompt_sha256="0" * 64, kept="a.py",
+        candidates=(
+            Candidate(file="a.py", sha256=sha256(source), score=0.5), Candidate(file="b.py", sha256="1", refused='"no"')
+        ),
+    )  # fmt: skip
+    (folder / file).write_bytes(freeze(record, source))
+    return f"{folder / file}:reward", record
+
+
+@every_task
+def test_every_task_has_one(name):
+    """It passes the checker, reads what its task reveals, and its record says what it is."""
+    check(f"{shipped(name)}:reward", task(name))
+    check_prior("language", task(name))
+    record = read_record(shipped(name))
+    text = shipped(name).read_bytes()
+    assert record.task == name
+    assert record.candidates[0].sha256 == sha256(text[text.index(b"# ///\n\n") + 7 :])
+    assert ("not the paper's" in record.note) == (name != "walker-walk")
+    assert record.model == ("GPT-5" if name == "walker-walk" else "stand-in")
+
+
+@pytest.mark.sim
+@every_task
+def test_the_prompt_is_the_one_of_today(name):
+    """The recorded prompt is what the installed simulator gives: another release would be another prompt."""
+    prompt = make_prompt(task(name), skeleton=name != "walker-walk")
+    assert read_record(shipped(name)).prompt_sha256 == sha256(prompt.encode())
+
+
+@every_task
+def test_range(name):
+    """On the scale of the residual, [-1, 1]; the walker's, as printed, in [0, 2]."""
+    rng = np.random.default_rng(0)
+    prior = load_prior("language")
+    values = np.array([prior(random_step(name, rng)) for _ in range(500)])
+    low, high = (0, 2) if name == "walker-walk" else (-1, 1)
+    if name in ("walker-walk", "quadruped-walk"):  # a random z lies beyond what a rotation gives
+        values = values[(values >= low) & (values <= high)]
+        assert len(values) > 200
+    assert low <= values.min() < values.max() <= high
+    assert values.std() > 0.05
+
+
+def walking(**outcomes):
+    spec = task("walker-walk")
+    obs = np.zeros(spec.obs_dim, np.float32)
+    return PriorStep(spec, obs, np.zeros(6, np.float32), outcomes, np.random.default_rng(0), Scene(spec, obs))
+
+
+@pytest.mark.parametrize(
+    ("speed", "z", "height", "expected"),
+    [
+        (1.0, 1.0, 1.2, 2.0),
+        (0.0, 1.0, 1.2, math.exp(-8) + 1.0),
+        (1.25, 0.0, 1.0, math.exp(-0.5) + 0.25 + 0.5 * math.exp(-0.5)),
+        (-3.0, -1.0, 5.0, 0.0),
+    ],
+)
+def test_walker_is_the_papers(speed, z, height, expected):
+    """The printed sum of two Gaussians and the uprightness, of the state that the step led to."""
+    step = walking(forward_velocity=speed, torso_upright=z, torso_height=height)
+    assert load_prior("language")(step) == pytest.approx(expected, abs=1e-12)
+
+
+ARM = {"hand": slice(0, 3), "object": slice(4, 7), "goal": slice(36, 39)}
+
+
+@pytest.mark.parametrize("name", [name for name, spec in TASKS.items() if spec.suite == "metaworld"])
+def test_arms_praise_progress(name):
+    """From the start to a hand on the object, to an object half-way, to the goal: each is worth more than the last."""
+    spec, prior = task(name), load_prior("language")
+
+    def value(hand, share):
+        obs = np.zeros(spec.obs_dim, np.float32)
+        start, goal = np.array([0.0, 0.6, 0.1]), np.array([0.2, 0.8, 0.1])
+        first = obs.copy()
+        first[ARM["object"]], first[ARM["goal"]] = start, goal
+        obs[ARM["goal"]], obs[ARM["object"]] = goal, start + share * (goal - start)
+        obs[ARM["hand"]] = obs[ARM["object"]] + hand
+        return prior(PriorStep(spec, obs, np.zeros(4, np.float32), {}, np.random.default_rng(0), Scene(spec, first)))
+
+    away, there = np.array([0.1, -0.2, 0.2]), np.array([0.01, 0.0, 0.02])
+    ordered = [value(away, 0.0), value(there, 0.0), value(there, 0.5), value(there, 1.0)]
+    assert ordered == sorted(ordered)
+    assert len(set(ordered)) == 4
+
+
+def test_records_survive(tmp_path):
+    """What is frozen is read back, quotes and all, and the code under it runs."""
+    name, record = frozen(tmp_path)
+    assert read_record(tmp_path / "mine.language.py") == record
+    step = random_step("toy-car", np.random.default_rng(0))
+    assert load_prior(name)(step) == step.hand[0]
+
+
+@pytest.mark.parametrize(
+    ("body", "name", "said"),
+    [
+        ("return open('x')", "toy-car", r"line \d+: `open`"),
+        ("return step.hand[0]", "button-press", "was written for button-press, not for toy-car"),
+        ("return step.upright", "toy-car", "reads upright, which toy-car does not reveal; it reveals: hand, object"),
+        ("return step.forward_velocity", "toy-car", "reads forward_velocity, which toy-car does not reveal"),
+    ],
+)
+def test_planning_refuses(tmp_path, body, name, said):
+    """A frozen file that cannot serve is refused before the run, by the configuration itself."""
+    file, _ = frozen(tmp_path, body, name)
+    with pytest.raises(ValidationError, match=said):
+        RunConfig(task="toy-car", seed=0, steps=2000, reward=RewardConfig(prior=file))
+
+
+def test_a_frozen_file_is_never_run_as_a_module(tmp_path):
+    """By its name alone: code that has no record, or does more than a prior may, is refused even without the check."""
+    file = tmp_path / "x.language.py"
+    file.write_text(f"open({str(tmp_path / 'ran')!r}, 'w')\ndef reward(step):\n    return 0.0\n")
+    with pytest.raises(PriorError, match="line 1"):
+        load_prior(f"{file}:reward")
+    file.write_bytes(code("return 0.0"))
+    with pytest.raises(ConfigError, match="has no record"):
+        load(f"{file}:reward")
+    with pytest.raises(PriorError, match="a language prior is called reward"):
+        load(f"{file}:other")
+    with pytest.raises(ConfigError, match="cannot read"):
+        check(f"{tmp_path}/none.language.py:reward", task("toy-car"))
+    assert not (tmp_path / "ran").exists()
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (("# task", "# tusk"), "damaged"),
+        (("[[candidates]]", "[candidates"), "damaged"),
+        (("# ///\n", "\n"), "no record"),
+    ],
+)
+def test_damaged_records(tmp_path, change, said):
+    """The file is named, and what is wrong with it."""
+    name, _ = frozen(tmp_path)
+    file = tmp_path / "mine.language.py"
+    file.write_text(file.read_text().replace(*change))
+    with pytest.raises(ConfigError, match=rf"mine\.language\.py.*{said}"):
+        load(name)
+
+
+def test_identity(tmp_path):
+    """The record is part of the file: the same code of another model is another run."""
+    file, _ = frozen(tmp_path)
+    config = RunConfig(task="toy-car", seed=0, steps=2000, reward=RewardConfig(prior=file))
+    before = config.identity
+    path = tmp_path / "mine.language.py"
+    path.write_text(path.read_text().replace('"M"', '"N"'))
+    assert config.identity != before
