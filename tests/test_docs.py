@@ -89,5 +89,5 @@ def test_the_readme_lists_the_experiments():
     for name, methods in rows.items():
         planned = {method for grid in load(ROOT / "experiments" / f"{name}.toml").grids for method in grid.methods}
         told = re.sub(r"rrm-\{the same\}", lambda _: "rrm-{proxy, o2g, h2o, sparse, language}", methods)
-        told = re.sub(r"(\w+-)\{(.*?)\}", lambda m: ", ".join(m[1] + n for n in m[2].split(", ")), told)
+        told = re.sub(r"([\w-]+-)\{(.*?)\}", lambda m: ", ".join(m[1] + n for n in m[2].split(", ")), told)
         assert set(told.split(", ")) == planned, name
