@@ -13,7 +13,7 @@ import torch
 from benchmarks.lines import Line, in_turns
 from benchmarks.sac_update import ACT, OBS, product
 from rrm.buffers.experience import Experience
-from rrm.buffers.preferences import LabelledSegments, Preferences
+from rrm.buffers.preferences import PairRing, Preferences, StoredFeedback
 from rrm.config import AgentConfig, RewardConfig
 from rrm.nets.precision import rounds
 from rrm.precision import Precision
@@ -79,9 +79,9 @@ def _lived() -> Experience:
     return experience
 
 
-def _labelled(experience: Experience) -> LabelledSegments:
+def _labelled(experience: Experience) -> StoredFeedback:
     rng = np.random.default_rng(1)
     starts = np.array([episode.start for episode in experience.episodes])
     preferences = Preferences(LABELS, SEGMENT)
     preferences.add(rng.choice(starts, (LABELS, 2)), rng.integers(0, 2, LABELS).astype(np.int8))
-    return LabelledSegments(experience, preferences)
+    return StoredFeedback(experience, preferences, PairRing(1, SEGMENT), LABELS)
