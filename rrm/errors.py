@@ -30,6 +30,14 @@ class PriorError(RrmError):
     """A prior that raised, or returned something other than one finite number."""
 
 
+class DemosError(RrmError):
+    """Demonstrations that cannot be used: another file, another task, or an expert that fails."""
+
+
+class MissingResultError(RrmError):
+    """What an earlier run should have left behind is not there."""
+
+
 class CheckpointError(RrmError):
     """A checkpoint that is missing or torn."""
 

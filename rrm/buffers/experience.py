@@ -109,9 +109,16 @@ class Experience:
         self.episodes.append(Episode(self._episode_start, next_row - 1 - self._episode_start))
         self._episode_start = self.rows = next_row
 
-    def sample(self, count: int, generator: torch.Generator) -> Batch:
-        """`count` transitions, uniformly with replacement."""
-        rows = self._row_of[torch.randint(self.transitions, (count,), generator=generator)]
+    def sample(self, count: int, generator: torch.Generator, newest: int | None = None) -> Batch:
+        """`count` transitions of all, or of the `newest` so many, uniformly with replacement."""
+        first = 0 if newest is None else max(0, self.transitions - newest)
+        return self._batch(self._row_of[torch.randint(first, self.transitions, (count,), generator=generator)])
+
+    def newest(self, count: int) -> Batch:
+        """The last `count` transitions, or all where there are fewer, in order."""
+        return self._batch(self.since(max(0, self.transitions - count)))
+
+    def _batch(self, rows: Tensor) -> Batch:
         return Batch(
             obs=self.obs[rows],
             act=self.act[rows],

@@ -3,4 +3,5 @@
 #: Learners by name. `true` and `prior` are known rewards and need no learner.
 LEARNERS: dict[str, str] = {
     "pebble": "rrm.rewards.pebble:Pebble",
+    "finetune": "rrm.imitation.finetune:Finetune",
 }

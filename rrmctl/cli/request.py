@@ -12,9 +12,9 @@ from rrmctl.errors import UserError
 
 if TYPE_CHECKING:
     from rrmctl.planning.cost import Estimate
-    from rrmctl.planning.plan import Plan
+    from rrmctl.planning.plan import Job, Plan
     from rrmctl.store.layout import Layout
-    from rrmctl.store.records import Status
+    from rrmctl.store.records import JobRecord, Status
 
 
 @dataclass(frozen=True)
@@ -82,10 +82,20 @@ def forecast(plan: Plan, layout: Layout) -> Forecast:
         UserError: a sweep record is damaged.
     """
     from rrmctl.planning.cost import estimate, stored_rates
-    from rrmctl.store.reader import run_status
+    from rrmctl.store.reader import statuses
 
-    states = {job.id: run_status(layout.run(job.id)) for job in plan.jobs}
+    states = statuses(layout, plan.everything)
     return Forecast(plan, states, estimate(plan, stored_rates(layout, states)))
+
+
+def job_record(job: Job) -> JobRecord:
+    """A job as the store records it."""
+    from rrmctl.store.records import JobRecord
+
+    return JobRecord(
+        id=job.id, cell=job.config.cell, task=job.task, method=job.method, teacher=job.teacher, feedback=job.feedback,
+        seed=job.seed, steps=job.config.steps, requires=job.requires,
+    )  # fmt: skip
 
 
 def in_words(forecast: Forecast, cores: int) -> str:

@@ -25,6 +25,7 @@ AMOUNTS = (
     "feedback.every", "feedback.batch", "feedback.budget", "feedback.segment",
     "exploration.seed_steps", "exploration.unsupervised_steps",
     "evaluation.every",
+    "imitation.steps", "imitation.seed_steps", "imitation.every", "imitation.window", "imitation.switch",
 )  # fmt: skip
 
 #: Larger integers do not survive JSON and parquet.
@@ -39,6 +40,9 @@ _DECIDED = {
     "reward.prior": "the method ([method.NAME] prior = ...) or --prior",
     "reward.learner_digest": "planning, from the file's content",
     "reward.prior_digest": "planning, from the file's content",
+    "reward.prior_run": "planning, from the settings in imitation",
+    "imitation.demos_digest": "planning, from the file's content",
+    "imitation.demos_run": "planning, from the settings in imitation",
 }
 
 
