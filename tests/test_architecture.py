@@ -30,6 +30,7 @@ KNOW_RRM = {
         "planning.cells",
         "planning.needs",
     ),  # names and settings become configurations
+    "running.demos",  # collects demonstrations that people ask for
     *("running.runfile", "running.worker"),  # a configuration's way into the process that trains
     "cli.app",  # errors become messages
 }

@@ -36,7 +36,10 @@ def expert_policy(config: RunConfig, model: Path) -> Policy:
     try:
         agent.load_state_dict(decode(model.read_bytes())["agent"])
     except OSError as error:
-        raise MissingResultError(f"{model}, the expert's networks, cannot be read: {error.strerror}") from error
+        raise MissingResultError(
+            f"{model}, the expert's networks, cannot be read: {error.strerror}; bring it back, or remove its folder "
+            "and run the experiment again"
+        ) from error
     except (CheckpointError, KeyError) as error:
         raise MissingResultError(f"{model} does not hold the expert's networks: {error}") from error
     return lambda obs: agent.act(obs, explore=False)

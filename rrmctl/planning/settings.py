@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import tomllib
 import types
 from collections.abc import Iterable, Iterator, Mapping
@@ -30,6 +31,9 @@ AMOUNTS = (
 
 #: Larger integers do not survive JSON and parquet.
 _LARGEST = 2**53
+
+#: Text that needs no quotes after --set: a word, or the path of a file.
+_BARE = re.compile(r"[\w-]+|[\w~./-]*[/.][A-Za-z][\w./-]*")
 
 #: Settings that something else decides, and what does.
 _DECIDED = {
@@ -225,6 +229,6 @@ def _value(text: str, where: str) -> Any:
         table = {}
     if table.keys() == {"value"}:
         return table["value"]
-    if text.replace("-", "").replace("_", "").isalnum():
+    if _BARE.fullmatch(text):
         return text
     raise UserError(f"{where}: not a TOML value", 'numbers, true, false, "text", [1, 2]')
