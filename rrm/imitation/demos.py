@@ -2,8 +2,9 @@
 
 Tensors: `obs` and `next_obs` float32 [n, O], `act` float32 [n, A], `terminated` uint8 [n], all episodes one behind the
 other; `lengths` int64 [E], `returns` float64 [E] (true, undiscounted), `successes` float64 [E] (NaN where the task has
-no such notion). The header's `format` names this layout, its `provenance` is JSON: `task`, `source`, and whatever else
-is known.
+no such notion). The header has one entry, `demonstrations`: a JSON object whose `format` names this layout and whose
+`provenance` is an object with `task`, `source`, and whatever else is known. One entry, because safetensors writes
+several in any order, and equal demonstrations should be equal files.
 """
 
 from __future__ import annotations
@@ -27,6 +28,7 @@ if TYPE_CHECKING:
     from rrm.interfaces import Floats
 
 FORMAT = "rrm-demonstrations-1"
+_ENTRY = "demonstrations"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -60,9 +62,9 @@ class Demonstrations:
 
     def save(self, path: Path) -> None:
         """Write the file, whole or not at all. Raises OSError where there is no room or permission."""
-        header = {"format": FORMAT, "provenance": json.dumps(dict(self.provenance), sort_keys=True)}
+        told = json.dumps({"format": FORMAT, "provenance": dict(self.provenance)}, sort_keys=True)
         arrays = {name: np.ascontiguousarray(getattr(self, name)) for name in _KINDS}
-        write_atomically(path, safetensors.numpy.save(arrays, header))
+        write_atomically(path, safetensors.numpy.save(arrays, {_ENTRY: told}))
 
     @classmethod
     def load(cls, path: Path) -> Self:
@@ -77,15 +79,12 @@ class Demonstrations:
                 arrays = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118  (it is no mapping)
         except (OSError, safetensors.SafetensorError) as error:
             raise DemosError(f"{path} cannot be read as demonstrations: {error}") from error
-        if header.get("format") != FORMAT:
-            raise DemosError(f"{path} is not a file of demonstrations: its format is {header.get('format')!r}")
+        provenance = _provenance(header.get(_ENTRY, ""))
+        if provenance is None:
+            raise DemosError(f"{path} is not a file of demonstrations: its header does not say {FORMAT}")
         missing = [name for name in _KINDS if name not in arrays]
         if missing:
             raise DemosError(f"{path} lacks {', '.join(missing)}")
-        try:
-            provenance = dict(json.loads(header.get("provenance", "{}")))
-        except (TypeError, ValueError) as error:
-            raise DemosError(f"{path}: its provenance is not a JSON object: {error}") from error
         found = cls(**{name: arrays[name] for name in _KINDS}, provenance=provenance)
         problem = found._problem()
         if problem:
@@ -123,6 +122,17 @@ class Demonstrations:
                 f"{where}: observations of {shapes[0]} and actions of {shapes[1]} numbers; "
                 f"{task.name} has {task.obs_dim} and {task.act_dim}"
             )
+
+
+def _provenance(text: str) -> dict[str, Any] | None:
+    try:
+        told = json.loads(text)
+    except ValueError:
+        return None
+    if not isinstance(told, dict) or told.get("format") != FORMAT or not isinstance(told.get("provenance"), dict):
+        return None
+    provenance: dict[str, Any] = told["provenance"]
+    return provenance
 
 
 _KINDS: dict[str, tuple[type[np.generic], int]] = {

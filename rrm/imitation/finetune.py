@@ -6,6 +6,7 @@ norm of every gradient is recorded, so that what happens when the loss changes c
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -29,14 +30,13 @@ class GradientLog:
     """Norm of the gradient in g's weights at every gradient step: environment step, loss, norm."""
 
     def __init__(self) -> None:
-        self.step = 0  #: environment step that the next entries belong to
         self._steps: list[int] = []
         self._losses: list[int] = []
         self._norms: list[float] = []
 
-    def __call__(self, loss: str, norm: float) -> None:
-        """Add one entry; `loss` is one of `LOSSES`."""
-        self._steps.append(self.step)
+    def add(self, step: int, loss: str, norm: float) -> None:
+        """One more entry; `loss` is one of `LOSSES`."""
+        self._steps.append(step)
         self._losses.append(LOSSES.index(loss))
         self._norms.append(norm)
 
@@ -95,9 +95,9 @@ class Finetune(Pebble):
     """PEBBLE's sessions on g."""
 
     def __init__(
-        self, reward: ImitatedReward, config: RewardConfig, rng: np.random.Generator, log: GradientLog
+        self, reward: ImitatedReward, config: RewardConfig, rng: np.random.Generator, log: Callable[[str, float], None]
     ) -> None:
-        """Args: log: told of every gradient step."""
+        """Args: log: told of every gradient step: the loss' name, and the norm of the gradient."""
         super().__init__(reward, config.model_copy(update={"members": 1}), rng)
         self._log = log
 

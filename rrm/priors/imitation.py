@@ -64,12 +64,14 @@ def _read(path: Path) -> State:
     from rrm.checkpoint import decode
 
     try:
-        kept: State = decode(path.read_bytes())["imitation"]
+        kept: State | None = decode(path.read_bytes()).get("imitation")
     except OSError as error:
         raise MissingResultError(
             f"{path}, which holds the imitation prior, cannot be read: {error.strerror}; bring it back, or remove its "
             "folder and run the experiment again"
         ) from error
-    except (CheckpointError, KeyError) as error:
-        raise MissingResultError(f"{path} holds no imitation prior: {error}") from error
+    except CheckpointError as error:
+        raise MissingResultError(f"{path}, which holds the imitation prior, is damaged: {error}") from error
+    if kept is None:
+        raise MissingResultError(f"{path} holds no imitation prior: another kind of run wrote it")
     return kept

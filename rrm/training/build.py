@@ -10,9 +10,8 @@ import torch
 from rrm.buffers.experience import Experience
 from rrm.config import IMITATION
 from rrm.errors import MissingResultError
-from rrm.imitation.airl import Airl
 from rrm.imitation.demos import Demonstrations
-from rrm.imitation.finetune import Finetune, GradientLog, ImitatedReward
+from rrm.imitation.finetune import Finetune, ImitatedReward
 from rrm.interfaces import RewardFunction, RewardLearner
 from rrm.priors import load_prior
 from rrm.priors.imitation import ImitationPrior
@@ -25,6 +24,7 @@ from rrm.seeding import Streams
 from rrm.teachers.scripted import ScriptedTeacher
 from rrm.training.collect import PriorSource
 from rrm.training.config import RunConfig
+from rrm.training.imitate import Imitation
 from rrm.training.sessions import Sessions
 
 #: Folders of earlier runs, by identity.
@@ -41,7 +41,7 @@ def build_reward(config: RunConfig, generator: torch.Generator) -> RewardFunctio
 
 
 def build_sessions(
-    config: RunConfig, experience: Experience, streams: Streams, airl: Airl | None, gradients: GradientLog
+    config: RunConfig, experience: Experience, streams: Streams, imitation: Imitation | None
 ) -> Sessions | None:
     """Learner, teacher and schedule of feedback; None where no preference trains the reward.
 
@@ -53,9 +53,9 @@ def build_sessions(
     assert config.feedback is not None  # the configuration has checked both
     assert config.teacher is not None
     learner: RewardLearner
-    if airl is not None:
-        g = ImitatedReward(airl.discriminator.g)
-        learner = Finetune(g, config.reward, streams.numpy("reward"), gradients)
+    if imitation is not None:
+        g = ImitatedReward(imitation.airl.discriminator.g)
+        learner = Finetune(g, config.reward, streams.numpy("reward"), imitation.log)
     else:
         learner_class = lookup(LEARNERS, "learner", config.reward.learner)
         reward = build_reward(config, streams.torch("reward-init"))
@@ -86,20 +86,19 @@ def _imitation(config: RunConfig, results: Results) -> ImitationPrior:
     return ImitationPrior(path, config.spec(), config.reward.squash)
 
 
-def build_airl(config: RunConfig, streams: Streams, results: Results, gradients: GradientLog) -> Airl | None:
-    """Demonstrations and discriminator; None for runs that do not begin with demonstrations.
+def build_imitation(config: RunConfig, experience: Experience, streams: Streams, results: Results) -> Imitation | None:
+    """Demonstrations and what is made of them; None for runs that do not begin with demonstrations.
 
     Raises:
         DemosError, MissingResultError: there are no demonstrations, or they do not suit the task.
     """
     if not config.from_demonstrations:
         return None
-    imitation = config.imitation
-    path = Path(imitation.demos) if imitation.demos else result_of(results, imitation.demos_run, DEMOS)
+    named = config.imitation.demos
+    path = Path(named) if named is not None else result_of(results, config.imitation.demos_run, DEMOS)
     demos = Demonstrations.load(path)
     demos.check(config.spec(), str(path))
-    log = gradients if config.reward.is_learned else None
-    return Airl(imitation, demos, config.agent.discount, streams, precision=config.precision, log=log)
+    return Imitation(config, demos, experience, streams)
 
 
 def result_of(results: Results, run: str | None, name: str) -> Path:

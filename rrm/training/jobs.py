@@ -156,7 +156,8 @@ class _Session:
             trainer.advance()
             if trainer.step % config.evaluation.every == 0 or trainer.step == config.steps:
                 self.monitor.row(trainer.evaluate())
-                trainer.publish(self.checkpoints.folder.parent)
+                if trainer.imitation is not None:
+                    trainer.imitation.publish(self.checkpoints.folder.parent)
                 self._save()
             now = time.monotonic()
             if now - beat_at >= _BEAT_S:

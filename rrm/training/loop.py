@@ -18,18 +18,16 @@ import torch
 
 from rrm.agents.sac import Sac
 from rrm.buffers.experience import Experience
-from rrm.config import AIRL
 from rrm.envs import make
 from rrm.errors import NumericalError
-from rrm.imitation.finetune import GradientLog
 from rrm.interfaces import Floats
 from rrm.nets.precision import check_precision
 from rrm.seeding import Streams, evaluation_seed
-from rrm.training.build import Results, build_airl, build_prior, build_sessions
+from rrm.training.build import Results, build_imitation, build_prior, build_sessions
 from rrm.training.config import RunConfig
 from rrm.training.evaluate import evaluate
 from rrm.training.intrinsic import StateEntropy
-from rrm.types import Batch, EvalRow, State
+from rrm.types import EvalRow, State
 
 _NAN = float("nan")
 
@@ -71,9 +69,8 @@ class Trainer:
         self.agent = Sac(config.agent, spec.obs_dim, spec.act_dim, self.streams, precision=config.precision)
         self.experience = Experience(config.steps, spec.obs_dim, spec.act_dim)
         self.prior = build_prior(config, self.streams, results)
-        self.gradients = GradientLog()
-        self.airl = build_airl(config, self.streams, results, self.gradients)
-        self.sessions = build_sessions(config, self.experience, self.streams, self.airl, self.gradients)
+        self.imitation = build_imitation(config, self.experience, self.streams, results)
+        self.sessions = build_sessions(config, self.experience, self.streams, self.imitation)
         self.entropy = StateEntropy(config.exploration.neighbours)
         self.clock = Clock()
         self._replay = self.streams.torch("replay")
@@ -95,11 +92,10 @@ class Trainer:
         if not np.isfinite(true_reward):
             raise NumericalError(f"step {self.step}: the true reward is {true_reward}")
         raw, prior = (0.0, 0.0) if self.prior is None else self.prior(self._obs, act, info, self.step)
-        reward = (
-            self._imitated(act, next_obs, terminated)
-            if self._imitating
-            else self._reward(self._obs, act, prior, true_reward)
-        )
+        if self.imitation is not None and self.imitation.leads:
+            reward = self.imitation.look(self._obs, act, next_obs, terminated=terminated)
+        else:
+            reward = self._reward(self._obs, act, prior, true_reward)
         self.experience.append(
             obs=self._obs, act=act, prior=prior, raw_prior=raw, true_reward=true_reward,
             reward=reward, next_obs=next_obs, terminated=terminated, truncated=truncated,
@@ -115,14 +111,13 @@ class Trainer:
         return self.agent.act(self._obs, explore=True)
 
     def _learn(self) -> None:
-        config, sessions = self.config, self.sessions
-        self.gradients.step = self.step
-        if self._imitating:
-            self._imitate()
-        elif sessions is None:
+        config, sessions, imitation = self.config, self.sessions, self.imitation
+        if imitation is not None and imitation.leads:
+            imitation.train(self.agent)
+        if sessions is None or (imitation is not None and imitation.leads):
             if self.step > config.random_steps:
                 self._update()
-        elif self.step == config.first_session and self.airl is None:
+        elif self.step == config.first_session and imitation is None:
             sessions.hold(self.step)
             self.agent.reset_critic()
             for _ in range(config.exploration.reset_updates):
@@ -134,27 +129,13 @@ class Trainer:
         elif self.step > config.random_steps:
             self._update_on_entropy()
 
-    @property
-    def _imitating(self) -> bool:
-        """True while demonstrations alone make the reward."""
-        return self.airl is not None and (self.sessions is None or self.step < self.config.first_session)
-
-    def _imitate(self) -> None:
-        assert self.airl is not None
-        since = self.step - self.config.random_steps
-        imitation = self.config.imitation
-        if since >= 0 and since % imitation.every == 0:
-            self.airl.train(lambda n, stream: self.experience.sample(n, stream, imitation.window), self.agent)
-        if since > 0:
-            self._update()
-
     def _update(self, *, always: bool = False) -> None:
         agent = self.config.agent
         if not always and self.step % agent.update_every:
             return
         batch = self.experience.sample(agent.batch, self._replay)
-        if self.airl is not None and self._imitating:
-            batch = batch._replace(reward=self.airl.reward(batch))
+        if self.imitation is not None and self.imitation.leads:
+            batch = batch._replace(reward=self.imitation.reward(batch))
         elif self.sessions is not None and self.sessions.learner.refine(batch, self.agent):
             self.sessions.relabel()
             reward = self.sessions.learner.reward.predict(batch.obs, batch.act, batch.prior)
@@ -174,13 +155,6 @@ class Trainer:
             return true_reward if self.config.reward.learner == "true" else prior
         step = (torch.from_numpy(obs)[None], torch.from_numpy(act)[None], torch.tensor([prior]))
         return float(self.sessions.learner.reward.predict(*step))
-
-    def _imitated(self, act: Floats, next_obs: Floats, terminated: bool) -> float:
-        """The reward of the step as the discriminator is now; what the agent learns from is taken anew later."""
-        assert self.airl is not None
-        obs, act_, following = (torch.from_numpy(each)[None] for each in (self._obs, act, next_obs))
-        blank, continues = torch.zeros(1), torch.tensor([0.0 if terminated else 1.0])
-        return float(self.airl.look(Batch(obs, act_, blank, blank, following, continues)))
 
     def _finish_episode(self) -> Floats:
         if self.sessions is not None:
@@ -202,9 +176,8 @@ class Trainer:
         """
         config = self.config
         result = evaluate(self.agent, self._eval_env, config.evaluation, seed=config.seed, step=self.step)
-        if self.airl is not None and config.reward.learner == AIRL:
-            newest = self.experience.newest(config.imitation.window)
-            self.airl.keep(self.step, result.success, result.true_return, newest)
+        if self.imitation is not None:
+            self.imitation.evaluated(result)
         figures: dict[str, Any] = self.agent.metrics()
         if self.agent.updates and not np.isfinite(list(figures.values())).all():
             raise NumericalError(f"step {self.step}: a figure of the agent is not finite: {figures}")
@@ -249,8 +222,7 @@ class Trainer:
             "agent": self.agent.state_dict(),
             "sessions": None if self.sessions is None else self.sessions.state_dict(),
             "prior": None if self.prior is None else self.prior.state_dict(),
-            "airl": None if self.airl is None else self.airl.state_dict(),
-            "gradients": None if self.airl is None else self.gradients.state_dict(),
+            "imitation": None if self.imitation is None else self.imitation.state_dict(),
             "entropy": self.entropy.state_dict(),
             "clock": self.clock.state_dict(),
             "loop": {
@@ -273,9 +245,8 @@ class Trainer:
             self.sessions.load_state_dict(state["sessions"])
         if self.prior is not None:
             self.prior.load_state_dict(state["prior"])
-        if self.airl is not None:
-            self.airl.load_state_dict(state["airl"])
-            self.gradients.load_state_dict(state["gradients"])
+        if self.imitation is not None:
+            self.imitation.load_state_dict(state["imitation"])
         self.entropy.load_state_dict(state["entropy"])
         self.clock.load_state_dict(state["clock"])
         loop = state["loop"]
@@ -283,20 +254,13 @@ class Trainer:
         self._return, self._length = float(loop["return"]), int(loop["length"])
         self.streams.load_state_dict(state["streams"])
 
-    def publish(self, folder: Path) -> None:
-        """Replace what is to be looked at beside the curve: the gradients of a reward that is fine-tuned."""
-        if self.airl is not None and self.sessions is not None:
-            self.gradients.write(folder / "gradients.parquet")
-
     def networks(self) -> State:
         """What a finished run leaves behind: the agent and, where there is one, the learned reward or the prior."""
-        networks: State = {
+        return {
             "agent": self.agent.state_dict(),
             "reward": None if self.sessions is None else self.sessions.learner.reward.state_dict(),
+            "imitation": None if self.imitation is None else self.imitation.prior(),
         }
-        if self.airl is not None and self.config.reward.learner == AIRL:
-            networks["imitation"] = {"task": self.config.task, "seed": self.config.seed, **self.airl.kept()}
-        return networks
 
     def close(self) -> None:
         """Free the simulators."""

@@ -128,7 +128,7 @@ def smaller(request: Request, plan: Plan) -> list[str]:
             other = replace(request, profile=name, seeds=f"{min(seeds)},").plan()
         except UserError:  # a profile that cannot hold the request is no advice
             continue
-        hours = len(seeds) * estimate(other, {}, gemm).core_hours()
+        hours = estimate(other, {}, gemm).core_hours({job.id: len(seeds) for job in other.jobs})  # needs are met once
         if hours < bound / 2:  # a profile that saves little is no advice
             lines.append(f"--profile {name}: about {duration(hours)} of one core; {scale.about}")
             bound = hours

@@ -74,7 +74,7 @@ class Estimate:
     measured: frozenset[str]  #: ids of the jobs whose rate comes from stored runs
 
     def core_hours(self, left: Mapping[str, float] | None = None) -> float:
-        """Of all jobs, or of the share of each that is `left` (1 where it is not named)."""
+        """Of all jobs, or of so much of each as is `left`, in whole jobs (1 where it is not named)."""
         share = left or {}
         return sum(s * share.get(job, 1.0) for job, s in self.seconds.items()) / 3600
 

@@ -74,9 +74,11 @@ def test_what_is_no_such_file_is_refused(tmp_path, damage):
             safetensors.numpy.save_file(arrays, path)
         case "lacks":
             del arrays["act"]
-            safetensors.numpy.save_file(arrays, path, {"format": FORMAT, "provenance": "{}"})
+            told = json.dumps({"format": FORMAT, "provenance": {}})
+            safetensors.numpy.save_file(arrays, path, {"demonstrations": told})
         case "provenance":
-            safetensors.numpy.save_file(arrays, path, {"format": FORMAT, "provenance": json.dumps(3)})
+            told = json.dumps({"format": FORMAT, "provenance": 3})
+            safetensors.numpy.save_file(arrays, path, {"demonstrations": told})
     with pytest.raises(DemosError, match=r"d\.safetensors"):
         Demonstrations.load(path)
 
