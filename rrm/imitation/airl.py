@@ -16,6 +16,7 @@ from torch import Tensor
 
 from rrm.config import ImitationConfig
 from rrm.imitation.discriminator import Discriminator
+from rrm.imitation.networks import RewardNet
 from rrm.moments import RunningMoments
 from rrm.types import Batch, State
 
@@ -24,6 +25,8 @@ if TYPE_CHECKING:
     from rrm.interfaces import StochasticAgent
     from rrm.precision import Precision
     from rrm.seeding import Streams
+
+_ROWS_AT_ONCE = 2048  #: of a forward pass, whose memory is kept
 
 #: Draws that many of the policy's newest transitions from this stream.
 Draw = Callable[[int, torch.Generator], Batch]
@@ -109,10 +112,7 @@ class Airl:
         if self._kept is not None and self._kept["score"] > score:
             return
         g = self.discriminator.g
-        ranges = {
-            name: [float(bound) for bound in torch.aminmax(g.predict(batch.obs, batch.act))]
-            for name, batch in (("demonstrations", self._expert), ("policy", newest))
-        }
+        ranges = {"demonstrations": _range(g, self._expert), "policy": _range(g, newest)}
         self._kept = {
             "score": score, "step": step, "success": None if math.isnan(success) else success,
             "true_return": true_return, "range": ranges, "g": g.net.flat.clone(),
@@ -137,6 +137,13 @@ class Airl:
         self.discriminator.load_state_dict(state["discriminator"])
         self._scale.load_state_dict(state["scale"])
         self._kept = state["kept"]
+
+
+def _range(g: RewardNet, batch: Batch) -> list[float]:
+    """Smallest and largest reward of the transitions."""
+    parts = zip(*(torch.split(column, _ROWS_AT_ONCE) for column in (batch.obs, batch.act)), strict=True)
+    low, high = torch.aminmax(torch.cat([g.predict(obs, act) for obs, act in parts]))
+    return [float(low), float(high)]
 
 
 def _batch(demos: Demonstrations) -> Batch:

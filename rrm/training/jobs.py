@@ -5,9 +5,10 @@ from __future__ import annotations
 import shutil
 import time
 from collections import deque
+from collections.abc import Mapping
 from pathlib import Path
 from types import MappingProxyType
-from typing import Protocol
+from typing import Any, Protocol
 
 import torch
 
@@ -80,7 +81,8 @@ def collect(config: DemosConfig, folder: Path, monitor: Monitor, results: Result
     if demos is None:
         return False
     demos.save(folder / DEMOS)
-    monitor.note(f"{len(demos.lengths)} episodes, success {demos.success:.0%}, mean return {demos.returns.mean():,.1f}")
+    told = demos.summary()
+    monitor.note(f"{told['episodes']} episodes, {_worth(told)}")
     return True
 
 
@@ -107,12 +109,28 @@ def train(
     try:
         finished = _Session(trainer, checkpoints, monitor, checkpoint_every_s).run()
         if finished:
-            write_atomically(folder / "model.safetensors", encode(trainer.networks()))
+            networks = trainer.networks()
+            write_atomically(folder / "model.safetensors", encode(networks))
+            _tell(networks["imitation"], monitor)
     finally:
         trainer.close()
     if finished:
         shutil.rmtree(checkpoints.folder)
     return finished
+
+
+def _tell(prior: State | None, monitor: Monitor) -> None:
+    """Say what an imitation prior is worth, and how far it reaches."""
+    if prior is None:
+        return
+    spans = ", ".join(f"{low:.2f} to {high:.2f} on the {name}" for name, (low, high) in prior["range"].items())
+    monitor.note(f"the prior is g of step {prior['step']:,}, {_worth(prior)}; it runs from {spans}")
+
+
+def _worth(told: Mapping[str, Any]) -> str:
+    """Success, where the task has that notion, and return in words."""
+    success = "" if told["success"] is None else f"success {told['success']:.0%}, "
+    return f"{success}mean return {told['true_return']:,.1f}"
 
 
 def _restore(config: RunConfig, results: Results, checkpoints: Checkpoints, monitor: Monitor) -> Trainer:

@@ -9,7 +9,14 @@ import pytest
 import torch
 
 from rrm.checkpoint import decode
-from rrm.config import EvaluationConfig, FeedbackConfig, ImitationConfig, RewardConfig
+from rrm.config import (
+    AgentConfig,
+    EvaluationConfig,
+    ExplorationConfig,
+    FeedbackConfig,
+    ImitationConfig,
+    RewardConfig,
+)
 from rrm.errors import ConfigError, DemosError, MissingResultError, PriorError
 from rrm.imitation.demos import Demonstrations
 from rrm.priors.imitation import ImitationPrior
@@ -57,7 +64,9 @@ def prior(imitating, results, recorder, tmp_path):
     """A finished AIRL run, added to the results; its configuration."""
     config = imitating()
     results[config.identity] = tmp_path / "airl"
-    assert train(config, results[config.identity], recorder(), results)
+    told = recorder()
+    assert train(config, results[config.identity], told, results)
+    assert [note for note in told.notes if "the prior is g of step" in note and "on the policy" in note]
     return config
 
 
@@ -333,3 +342,25 @@ def test_settings_of_others_change_no_identity(tiny):
             task="toy-car", seed=0, steps=9000, reward=RewardConfig(learner="airl"),
             imitation=ImitationConfig(demos="/nowhere.safetensors"),
         ).canonical()  # fmt: skip
+
+
+@pytest.mark.sim
+def test_a_task_without_success_is_judged_by_its_return(recorder, tmp_path):
+    """On DM-Control no demonstration can fail, and the best evaluation is the one of the highest return."""
+    small = {"agent": AgentConfig(hidden=16, layers=1, batch=16), "evaluation": EvaluationConfig(every=60, episodes=1)}
+    common = {"task": "walker-walk", "seed": 0, "horizon": 20, "steps": 120, **small}
+    expert = RunConfig(
+        reward=RewardConfig(learner="true"), exploration=ExplorationConfig(seed_steps=40), **common
+    ).canonical()
+    demos = DemosConfig(task="walker-walk", expert=expert, episodes=2, least_success=1.0)
+    imitation = IMITATION.model_copy(update={"seed_steps": 40, "every": 20, "demos_run": demos.identity})
+    airl = RunConfig(reward=RewardConfig(learner="airl"), imitation=imitation, **common).canonical()
+    folders = {config.identity: tmp_path / config.method for config in (expert, demos, airl)}
+    told = recorder()
+    for config in (expert, demos, airl):
+        folders[config.identity].mkdir()
+        assert perform(config, folders[config.identity], told, folders)
+    kept = decode((folders[airl.identity] / "model.safetensors").read_bytes())["imitation"]
+    assert kept["success"] is None
+    assert kept["true_return"] == max(row.true_return for row in told.rows.values())
+    assert any("2 episodes, mean return" in note for note in told.notes)
