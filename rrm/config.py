@@ -19,6 +19,13 @@ Weight = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 #: Learners that learn nothing: the reward is known. Feedback and teacher mean nothing to them.
 KNOWN_REWARDS = ("true", "prior")
 
+#: The learner that knows demonstrations alone: its run leaves the prior of this name behind.
+AIRL = "airl"
+IMITATION = "imitation"
+
+#: Learners that begin with demonstrations.
+DEMONSTRATED = (AIRL, "finetune")
+
 
 class Section(BaseModel):
     """What all sections share."""
@@ -69,6 +76,8 @@ class RewardConfig(Section):
     prior: str | None = None  #: residual on this prior: a name, or `file.py:function`
     prior_digest: str | None = None  #: sha-256 of the user's file behind `prior`; filled in by planning
     learner_digest: str | None = None  #: likewise for `learner`
+    prior_run: str | None = None  #: identity of the run that trained the prior `imitation`; filled in by planning
+    squash: Literal["none", "tanh"] = "none"  #: of the prior `imitation`, before it is normalised
     options: dict[str, Any] = Field(default_factory=dict)  #: what a learner of the user's own wants to be told
     normaliser: Literal["scale", "zscore"] = "scale"  #: appendix (default), or the main text's
     bound: Literal["tanh", "gaussian"] = "tanh"  #: what keeps the reward near its prior: a tanh, or a squared penalty
@@ -86,8 +95,8 @@ class RewardConfig(Section):
 
     @property
     def is_learned(self) -> bool:
-        """False where the reward is known beforehand (true reward, prior alone)."""
-        return self.learner not in KNOWN_REWARDS
+        """True where preferences train the reward; not so for the true one, a prior alone, or demonstrations alone."""
+        return self.learner not in (*KNOWN_REWARDS, AIRL)
 
     @property
     def margin(self) -> int:
@@ -98,6 +107,28 @@ class RewardConfig(Section):
     def pairs_per_label(self) -> int:
         """Pairs in a gradient step for each labelled one, itself included; of a learner of ours."""
         return 1 + self.surf.ratio if self.learner == "surf" else 1
+
+
+class ImitationConfig(Section):
+    """AIRL (Fu et al. 2018; appendix "Imitation rewards"), the demonstrations before it and the fine-tuning after."""
+
+    steps: Count = 1_000_000  #: environment steps of the run that trains the prior
+    seed_steps: Count = 5000  #: uniformly random actions before the first update
+    every: Count = 1000  #: environment steps between two trainings of the discriminator
+    updates: Count = 100  #: gradient steps of each
+    minibatch: Count = 128  #: expert transitions of a gradient step, and as many of the policy's
+    window: Count = 50_000  #: newest transitions that the policy's are drawn from; the paper is silent
+    hidden: Count = 256
+    layers: Count = 3
+    lr: Positive = 1e-4  #: Adam
+    head: Literal["linear", "tanh"] = "linear"  #: of the reward g
+    pretrain: Literal["airl", "mse"] = "airl"  #: text and figure differ; mse pulls g to 1 for experts, 0 for the policy
+    episodes: Count = 50  #: demonstrations
+    expert_success: Fraction = 0.8  #: share of demonstrations that must succeed, where the task has that notion
+    demos: str | None = None  #: a file of the user's instead of demonstrations by the oracle
+    demos_digest: str | None = None  #: sha-256 of that file; filled in by planning
+    demos_run: str | None = None  #: identity of the run that collects the demonstrations; filled in by planning
+    switch: Count = 400_000  #: step from which `finetune` learns from preferences
 
 
 class FeedbackConfig(Section):

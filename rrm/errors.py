@@ -34,6 +34,14 @@ class RefusedCodeError(PriorError):
     """Code of a language model that goes beyond what such code may do; the message names the line."""
 
 
+class DemosError(RrmError):
+    """Demonstrations that cannot be used: another file, another task, or an expert that fails."""
+
+
+class MissingResultError(RrmError):
+    """What an earlier run should have left behind is not there."""
+
+
 class CheckpointError(RrmError):
     """A checkpoint that is missing or torn."""
 

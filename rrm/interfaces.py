@@ -90,6 +90,13 @@ class Agent(Stateful, Protocol):
         """Figures of the last update: `critic_loss`, `actor_loss`, `entropy`, `alpha`; NaN before the first."""
 
 
+class StochasticAgent(Agent, Protocol):
+    """An agent whose policy has a density."""
+
+    def log_prob(self, obs: Tensor, act: Tensor) -> Tensor:
+        """Log density of any actions [B, A] at obs [B, O], without gradient: float32 [B], nats, finite."""
+
+
 class RewardFunction(Stateful, Protocol):
     """A learned reward: what an ensemble says of each step, with or without a prior inside."""
 

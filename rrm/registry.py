@@ -98,7 +98,15 @@ def source_digest(name: str) -> str | None:
     """
     if not is_file_reference(name):
         return None
-    path = Path(name.rpartition(":")[0])
+    return file_digest(Path(name.rpartition(":")[0]), name)
+
+
+def file_digest(path: Path, name: str) -> str:
+    """Sha-256 of a file of the user's; `name` is what they called it by.
+
+    Raises:
+        ConfigError: it cannot be read.
+    """
     try:
         return hashlib.sha256(path.read_bytes()).hexdigest()
     except OSError as error:

@@ -4,7 +4,9 @@ One more draw in one place must not shift the others, so every purpose has a str
 `env` (resets), `explore` (random and policy actions), `agent` (update noise), `replay` (batches), `init` and
 `reward-init` (weights of the agent and of the reward), `reward` (minibatches and crops of reward learning), `query`
 (segment pairs), `unlabelled` (pairs nobody is asked about), `lookahead` (actions imagined by a learner that asks the
-agent for its targets), `teacher` (label noise), `prior` (random priors).
+agent for its targets), `teacher` (label noise), `prior` (random priors), `imitation-init` (weights of the
+discriminator), `imitation` (its minibatches, the expert's and the policy's), `demonstrations` (instances that an expert
+is shown).
 Evaluation draws from `evaluation_seed` and never from a stream of training.
 """
 

@@ -28,8 +28,9 @@ KNOW_RRM = {
         "planning.methods",
         "planning.settings",
         "planning.cells",
-        "planning.plan",
+        "planning.needs",
     ),  # names and settings become configurations
+    "running.demos",  # collects demonstrations that people ask for
     *("running.runfile", "running.worker"),  # a configuration's way into the process that trains
     "cli.app",  # errors become messages
     "cli.prior",  # candidates of a language model become priors of the library
@@ -40,7 +41,8 @@ FACTS = {"rrm.envs.tasks", "rrm.errors", "rrm.files", "rrm.precision"}
 #: Floors of `rrm`: a module imports from floors below its own, or from its own package.
 FLOORS = {
     "training": 6,
-    "priors": 4, "teachers": 4, "queries": 4,
+    "priors": 5,
+    "imitation": 4, "teachers": 4, "queries": 4,
     "agents": 3, "rewards": 3,
     "buffers": 2,
     "nets": 1, "losses": 1,

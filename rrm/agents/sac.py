@@ -30,11 +30,18 @@ if TYPE_CHECKING:
     from rrm.seeding import Streams
     from rrm.types import Batch, State
 
+_LARGEST = 1 - 1e-6  #: of an action whose density is asked for; float32's tanh rounds to one, where atanh is infinite
+
 tanh_backward = torch.ops.aten.tanh_backward
 
 LOG_STD_MIN, LOG_STD_MAX = -5.0, 2.0
 _HALF_RANGE = 0.5 * (LOG_STD_MAX - LOG_STD_MIN)
 _FIGURES = ("critic_loss", "actor_loss", "entropy", "alpha")
+
+
+def _log_std(squash: Tensor) -> Tensor:
+    """From the tanh of the actor's raw output."""
+    return squash.add(1).mul_(_HALF_RANGE).add_(LOG_STD_MIN)
 
 
 class _Sample:
@@ -45,7 +52,7 @@ class _Sample:
         mean, raw = head.chunk(2)
         self.noise = noise
         self.squash = torch.tanh(raw)
-        self.log_std = self.squash.add(1).mul_(_HALF_RANGE).add_(LOG_STD_MIN)
+        self.log_std = _log_std(self.squash)
         self.spread = self.log_std.exp().mul_(noise)
         self.pre_tanh = mean + self.spread
         self.act = torch.tanh(self.pre_tanh)
@@ -166,6 +173,14 @@ class Sac:
                 "look for rewards or observations that are not finite, then for step sizes that are too large"
             )
         return action
+
+    @torch.no_grad()
+    def log_prob(self, obs: Tensor, act: Tensor) -> Tensor:
+        """Log density of any actions [B, A] under the policy as it is at obs [B, O]; float32 [B], nats, finite."""
+        mean, raw = self.actor(obs)[0].chunk(2)
+        log_std = _log_std(torch.tanh(raw))
+        pre_tanh = torch.atanh(act.t().clamp(-_LARGEST, _LARGEST))
+        return squashed_gaussian_log_prob((pre_tanh - mean) / log_std.exp(), log_std, pre_tanh)
 
     @torch.no_grad()
     def update(self, batch: Batch) -> None:

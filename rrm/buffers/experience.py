@@ -109,12 +109,24 @@ class Experience:
         self.episodes.append(Episode(self._episode_start, next_row - 1 - self._episode_start))
         self._episode_start = self.rows = next_row
 
-    def sample(self, count: int, generator: torch.Generator, *, time_limits_end: bool = False) -> Batch:
+    def sample(
+        self, count: int, generator: torch.Generator, *, newest: int | None = None, time_limits_end: bool = False
+    ) -> Batch:
         """`count` transitions, uniformly with replacement.
 
-        Args: time_limits_end: take a time limit for a termination in `continues`.
+        Args:
+            newest: of the last so many alone.
+            time_limits_end: take a time limit for a termination in `continues`.
         """
-        rows = self._row_of[torch.randint(self.transitions, (count,), generator=generator)]
+        first = 0 if newest is None else max(0, self.transitions - newest)
+        rows = self._row_of[torch.randint(first, self.transitions, (count,), generator=generator)]
+        return self._batch(rows, time_limits_end=time_limits_end)
+
+    def newest(self, count: int) -> Batch:
+        """The last `count` transitions, or all where there are fewer, in order."""
+        return self._batch(self.since(max(0, self.transitions - count)))
+
+    def _batch(self, rows: Tensor, *, time_limits_end: bool = False) -> Batch:
         on = torch.from_numpy(self._kind)[rows] == _STEP if time_limits_end else self.continues[rows]
         return Batch(
             obs=self.obs[rows],

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
+from rrm.config import IMITATION
 from rrm.envs.tasks import Task
 from rrm.errors import ConfigError, PriorError, UnknownNameError
 from rrm.priors import language
@@ -30,6 +31,7 @@ PRIORS: dict[str, str] = {
     "opposite": "rrm.priors.proxy:opposite",
     "random": "rrm.priors.proxy:random",
     "language": "rrm.priors.language:language",
+    IMITATION: "rrm.priors.imitation:ImitationPrior",  # made by a run of its own, see `rrm.training.build`
 }
 
 

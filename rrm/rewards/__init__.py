@@ -5,4 +5,5 @@ LEARNERS: dict[str, str] = {
     "pebble": "rrm.rewards.pebble:Pebble",
     "surf": "rrm.rewards.surf:Surf",
     "mrn": "rrm.rewards.mrn:Mrn",
+    "finetune": "rrm.imitation.finetune:Finetune",
 }

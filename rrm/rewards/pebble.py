@@ -77,9 +77,13 @@ class Pebble:
             # The gradient of a minibatch is the sum over its parts, which fit into the caches.
             for part in torch.split(index, PAIRS_AT_ONCE, dim=1):
                 figures += self._accumulate(feedback, part, part.shape[1] / index.shape[1])
-            self._optimizer.step()
+            self._step()
         right, decided, total = figures.tolist()
         return right / decided if decided else float("nan"), total / count
+
+    def _step(self) -> None:
+        """Step along the gradient of the whole minibatch."""
+        self._optimizer.step()
 
     def _accumulate(self, feedback: Feedback, index: Tensor, share: float) -> Tensor:
         """Add a part's gradient to that of its minibatch, of which it is this share.

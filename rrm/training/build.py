@@ -2,11 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from pathlib import Path
+
 import torch
 
 from rrm.buffers.experience import Experience
-from rrm.interfaces import RewardFunction
+from rrm.config import IMITATION
+from rrm.errors import MissingResultError
+from rrm.imitation.demos import Demonstrations
+from rrm.imitation.finetune import Finetune, ImitatedReward
+from rrm.interfaces import RewardFunction, RewardLearner
 from rrm.priors import load_prior
+from rrm.priors.imitation import ImitationPrior
 from rrm.priors.scale import Normaliser, make_normaliser
 from rrm.registry import lookup
 from rrm.rewards import LEARNERS
@@ -16,7 +24,13 @@ from rrm.seeding import Streams
 from rrm.teachers.scripted import ScriptedTeacher
 from rrm.training.collect import PriorSource
 from rrm.training.config import RunConfig
+from rrm.training.imitate import Imitation
 from rrm.training.sessions import Sessions
+
+#: Folders of earlier runs, by identity.
+Results = Mapping[str, Path]
+
+DEMOS = "demos.safetensors"  #: what a run that collects demonstrations leaves behind
 
 
 def build_reward(config: RunConfig, generator: torch.Generator) -> RewardFunction:
@@ -26,8 +40,10 @@ def build_reward(config: RunConfig, generator: torch.Generator) -> RewardFunctio
     return reward(config.reward, spec.obs_dim, spec.act_dim, generator, config.precision)
 
 
-def build_sessions(config: RunConfig, experience: Experience, streams: Streams) -> Sessions | None:
-    """Learner, teacher and schedule of feedback; None where the reward is known.
+def build_sessions(
+    config: RunConfig, experience: Experience, streams: Streams, imitation: Imitation | None
+) -> Sessions | None:
+    """Learner, teacher and schedule of feedback; None where no preference trains the reward.
 
     Raises:
         RrmError: the learner is unknown, or is a file of the user's that does not import.
@@ -36,8 +52,14 @@ def build_sessions(config: RunConfig, experience: Experience, streams: Streams) 
         return None
     assert config.feedback is not None  # the configuration has checked both
     assert config.teacher is not None
-    learner_class = lookup(LEARNERS, "learner", config.reward.learner)
-    learner = learner_class(build_reward(config, streams.torch("reward-init")), config.reward, streams.numpy("reward"))
+    learner: RewardLearner
+    if imitation is not None:
+        g = ImitatedReward(imitation.airl.discriminator.g)
+        learner = Finetune(g, config.reward, streams.numpy("reward"), imitation.log)
+    else:
+        learner_class = lookup(LEARNERS, "learner", config.reward.learner)
+        reward = build_reward(config, streams.torch("reward-init"))
+        learner = learner_class(reward, config.reward, streams.numpy("reward"))
     return Sessions(
         config, config.feedback,
         experience=experience, learner=learner, rng=streams.numpy("query"),
@@ -45,10 +67,48 @@ def build_sessions(config: RunConfig, experience: Experience, streams: Streams) 
     )  # fmt: skip
 
 
-def build_prior(config: RunConfig, streams: Streams) -> PriorSource | None:
-    """The prior with its normaliser; None where the reward has none."""
+def build_prior(config: RunConfig, streams: Streams, results: Results) -> PriorSource | None:
+    """The prior with its normaliser; None where the reward has none.
+
+    Raises:
+        RrmError: the prior is unknown, does not import, or what trains it has not left it behind.
+    """
     name = config.reward.prior
     if name is None:
         return None
+    prior = _imitation(config, results) if name == IMITATION else load_prior(name)
     normaliser: Normaliser = make_normaliser(config.reward.normaliser)
-    return PriorSource(name, load_prior(name), normaliser, config.spec(), streams.numpy("prior"))
+    return PriorSource(name, prior, normaliser, config.spec(), streams.numpy("prior"))
+
+
+def _imitation(config: RunConfig, results: Results) -> ImitationPrior:
+    path = result_of(results, config.reward.prior_run, "model.safetensors")
+    return ImitationPrior(path, config.spec(), config.reward.squash)
+
+
+def build_imitation(config: RunConfig, experience: Experience, streams: Streams, results: Results) -> Imitation | None:
+    """Demonstrations and what is made of them; None for runs that do not begin with demonstrations.
+
+    Raises:
+        DemosError, MissingResultError: there are no demonstrations, or they do not suit the task.
+    """
+    if not config.from_demonstrations:
+        return None
+    named = config.imitation.demos
+    path = Path(named) if named is not None else result_of(results, config.imitation.demos_run, DEMOS)
+    demos = Demonstrations.load(path)
+    demos.check(config.spec(), str(path))
+    return Imitation(config, demos, experience, streams)
+
+
+def result_of(results: Results, run: str | None, name: str) -> Path:
+    """The file `name` that an earlier run has left behind.
+
+    Raises:
+        MissingResultError: the configuration names no such run, or nobody said where it is.
+    """
+    if run is None or run not in results:
+        raise MissingResultError(
+            f"{name} of the run {run} is needed first; `rrmctl run` plans and makes what an experiment needs"
+        )
+    return results[run] / name

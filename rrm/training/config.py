@@ -8,17 +8,22 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Iterator
-from typing import Any, Self, TypeVar
+from pathlib import Path
+from typing import Any, ClassVar, Literal, Self, TypeVar
 
 from pydantic import model_validator
 
 from rrm.config import (
+    AIRL,
+    DEMONSTRATED,
+    IMITATION,
     KNOWN_REWARDS,
     AgentConfig,
     Count,
     EvaluationConfig,
     ExplorationConfig,
     FeedbackConfig,
+    ImitationConfig,
     NonNegative,
     RewardConfig,
     Section,
@@ -28,7 +33,7 @@ from rrm.envs.tasks import TASKS, Task, task
 from rrm.errors import ConfigError, UnknownNameError
 from rrm.precision import PrecisionSetting
 from rrm.priors import check_prior
-from rrm.registry import check_file, is_file_reference, source_digest
+from rrm.registry import check_file, file_digest, is_file_reference, source_digest
 from rrm.rewards import LEARNERS
 
 _S = TypeVar("_S", bound=Section)
@@ -40,6 +45,8 @@ CONFIG_VERSION = 2
 class RunConfig(Section):
     """One run. Two runs with equal configurations are the same run."""
 
+    kind: ClassVar[Literal["train"]] = "train"  #: of job
+
     profile: str = "paper"  #: which scale this is; reports never mix two
     task: str
     seed: NonNegative
@@ -50,6 +57,7 @@ class RunConfig(Section):
     feedback: FeedbackConfig | None = FeedbackConfig()  #: None where no reward is learned
     teacher: TeacherConfig | None = TeacherConfig()  #: likewise
     exploration: ExplorationConfig = ExplorationConfig()
+    imitation: ImitationConfig = ImitationConfig()  #: of runs that learn from demonstrations, and of planning theirs
     evaluation: EvaluationConfig = EvaluationConfig()
     precision: PrecisionSetting = "float32"  #: of products between hidden layers; "auto" is this machine's fastest
     threads: Count = 1  #: of torch; another number may round differently
@@ -59,11 +67,14 @@ class RunConfig(Section):
         spec = task(self.task)
         if self.horizon is not None and self.horizon > spec.horizon:
             raise ConfigError(f"horizon: {self.horizon} steps is longer than {self.task}'s episode of {spec.horizon}")
-        if self.reward.learner not in (*LEARNERS, *KNOWN_REWARDS) and not is_file_reference(self.reward.learner):
-            raise UnknownNameError("learner", self.reward.learner, (*LEARNERS, *KNOWN_REWARDS))
+        names = (*LEARNERS, *KNOWN_REWARDS, AIRL)
+        if self.reward.learner not in names and not is_file_reference(self.reward.learner):
+            raise UnknownNameError("learner", self.reward.learner, names)
         if is_file_reference(self.reward.learner):
             check_file(self.reward.learner, "learner")
         if self.reward.prior is not None:
+            if self.from_demonstrations:
+                raise ConfigError(f"reward.prior: the learner {self.reward.learner!r} takes no prior")
             check_prior(self.reward.prior, spec)
         elif self.reward.learner == "prior":
             raise ConfigError('reward.prior: the learner "prior" trains on a prior alone and needs one named')
@@ -72,9 +83,10 @@ class RunConfig(Section):
         if self.reward.is_learned:
             self._feedback_can_be_met()
         elif self.random_steps + 1 >= self.steps:
+            section = "imitation" if self.from_demonstrations else "exploration"
             raise ConfigError(
                 f"steps: the run ends at {self.steps}, before the first update; "
-                f"exploration.seed_steps are {self.random_steps}"
+                f"{section}.seed_steps are {self.random_steps}"
             )
         return self
 
@@ -83,6 +95,11 @@ class RunConfig(Section):
             raise ConfigError(f"feedback and teacher: the learner {self.reward.learner!r} needs both")
         self.check_margin(self.reward.margin)
         self._learner_fits(self.feedback.segment)
+        if self.from_demonstrations and self.first_session < self.random_steps + self.episode_steps:
+            raise ConfigError(
+                f"imitation.switch: {self.first_session} comes before an episode beyond the "
+                f"{self.random_steps} random steps"
+            )
         if self.first_session >= self.steps:
             raise ConfigError(
                 f"steps: the run ends at {self.steps}, before the first feedback at {self.first_session} "
@@ -114,6 +131,16 @@ class RunConfig(Section):
             )
 
     @property
+    def from_demonstrations(self) -> bool:
+        """True for runs that begin with demonstrations, up to `first_session` where preferences follow."""
+        return self.reward.learner in DEMONSTRATED
+
+    @property
+    def requires(self) -> tuple[str, ...]:
+        """Identities of the runs whose results this one starts from."""
+        return tuple(run for run in (self.reward.prior_run, self.imitation.demos_run) if run is not None)
+
+    @property
     def episode_steps(self) -> int:
         """Steps of an episode in this run."""
         return self.horizon or task(self.task).horizon
@@ -122,6 +149,8 @@ class RunConfig(Section):
     def random_steps(self) -> int:
         """Steps of random actions: prolonged where the first session would come before two complete episodes."""
         explore = self.exploration
+        if self.from_demonstrations:
+            return self.imitation.seed_steps
         if not self.reward.is_learned:
             return explore.seed_steps
         return max(explore.seed_steps, 2 * self.episode_steps - explore.unsupervised_steps)
@@ -129,6 +158,8 @@ class RunConfig(Section):
     @property
     def first_session(self) -> int:
         """The step before which the first feedback is given."""
+        if self.from_demonstrations:
+            return self.imitation.switch
         return self.random_steps + self.exploration.unsupervised_steps
 
     @property
@@ -150,10 +181,13 @@ class RunConfig(Section):
             ConfigError: a file of the user's cannot be read.
         """
         reward, explore = self.reward, self.exploration
-        changes: dict[str, Any] = {}
+        changes: dict[str, Any] = {"imitation": self._canonical_imitation()}
+        if reward.prior != IMITATION:
+            reward = _defaulted(reward, "prior_run", "squash")
         if not reward.is_learned:
-            keep = {"learner": reward.learner, "prior": reward.prior, "normaliser": reward.normaliser}
-            reward = RewardConfig(**(keep if reward.learner == "prior" else {"learner": reward.learner}))
+            keep = ("learner", "prior", "normaliser", "prior_run", "squash")
+            kept = {name: getattr(reward, name) for name in (keep if reward.learner == "prior" else keep[:1])}
+            reward = RewardConfig(**kept)
             changes |= {"feedback": None, "teacher": None}
             changes["exploration"] = ExplorationConfig(seed_steps=explore.seed_steps)
         else:
@@ -163,6 +197,9 @@ class RunConfig(Section):
             if not explore.unsupervised_steps:
                 explore = _defaulted(explore, "neighbours")
             changes["exploration"] = explore.model_copy(update={"seed_steps": self.random_steps})
+        if self.from_demonstrations:
+            changes["exploration"] = ExplorationConfig()
+            reward = _defaulted(reward, "members", "hidden", "layers")
         digests = {"learner_digest": source_digest(reward.learner)}
         if reward.prior is not None:
             digests["prior_digest"] = source_digest(reward.prior)
@@ -170,6 +207,19 @@ class RunConfig(Section):
         if self.horizon == TASKS[self.task].horizon:
             changes["horizon"] = None
         return self.model_copy(update=changes)
+
+    def _canonical_imitation(self) -> ImitationConfig:
+        """What matters of the section to this run itself; what matters to those it requires is in their identities."""
+        imitation = self.imitation
+        if not self.from_demonstrations:
+            return ImitationConfig()
+        imitation = _defaulted(imitation, "steps", "episodes", "expert_success", "demos_digest")
+        if self.reward.learner == AIRL:
+            imitation = _defaulted(imitation, "switch")
+        if imitation.demos is not None:
+            digest = file_digest(Path(imitation.demos), "imitation.demos")
+            imitation = imitation.model_copy(update={"demos_digest": digest, "demos_run": None})
+        return imitation
 
     @property
     def identity(self) -> str:
@@ -191,6 +241,7 @@ class RunConfig(Section):
             name = described.get("reward", {}).get(key)
             if name is not None and is_file_reference(name):
                 described["reward"][key] = name.rpartition(":")[2]
+        described.get("imitation", {}).pop("demos", None)  # likewise
         text = json.dumps({"version": CONFIG_VERSION, **described}, sort_keys=True, allow_nan=False)
         return hashlib.sha256(text.encode()).hexdigest()[:16]
 

@@ -1,25 +1,31 @@
-"""Jobs: what a process is given to do. There is one kind so far, training a policy."""
+"""Jobs: what a process is given to do. Two kinds: training a policy, and collecting demonstrations of one."""
 
 from __future__ import annotations
 
 import shutil
 import time
 from collections import deque
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Protocol
+from types import MappingProxyType
+from typing import Any, Protocol
 
 import torch
 
 from rrm.checkpoint import KEPT, Checkpoints, encode
 from rrm.files import write_atomically
+from rrm.training.build import DEMOS, Results, result_of
 from rrm.training.config import RunConfig
+from rrm.training.demonstrate import demonstrate, expert_policy
+from rrm.training.demos import DemosConfig
 from rrm.training.fingerprint import fingerprint
 from rrm.training.loop import Trainer
 from rrm.types import EvalRow, State
 
-__all__ = ["Monitor", "fingerprint", "train"]
+__all__ = ["Monitor", "collect", "fingerprint", "perform", "train"]
 
 _BEAT_S = 0.25
+_NOTHING: Results = MappingProxyType({})
 
 
 class Monitor(Protocol):
@@ -41,7 +47,51 @@ class Monitor(Protocol):
         """True: write a checkpoint and return."""
 
 
-def train(config: RunConfig, folder: Path, monitor: Monitor, *, checkpoint_every_s: float = 120.0) -> bool:
+def perform(config: RunConfig | DemosConfig, folder: Path, monitor: Monitor, results: Results = _NOTHING) -> bool:
+    """Do the job in `folder`, or go on with it; see `train` and `collect`.
+
+    Args:
+        results: folders of the runs that this one requires, by identity.
+    """
+    if isinstance(config, DemosConfig):
+        return collect(config, folder, monitor, results)
+    return train(config, folder, monitor, results)
+
+
+def collect(config: DemosConfig, folder: Path, monitor: Monitor, results: Results) -> bool:
+    """Have the expert play, and leave its episodes in `folder/demos.safetensors`. A matter of a minute: no checkpoint.
+
+    Returns:
+        True when they are there; False when it was told to stop, and will begin anew.
+
+    Raises:
+        DemosError: the expert succeeds too rarely.
+        MissingResultError: there is no expert.
+    """
+    torch.set_num_threads(config.threads)
+    policy = expert_policy(config.expert, result_of(results, config.expert.identity, "model.safetensors"))
+
+    def stopped(step: int, steps_per_s: float) -> bool:
+        monitor.beat(step, steps_per_s)
+        return monitor.should_stop()
+
+    source = {"source": "expert", "expert": config.expert.identity, "expert_steps": config.expert.steps}
+    demos = demonstrate(
+        config.task, policy, config.episodes,
+        seed=config.seed, horizon=config.expert.horizon, least_success=config.least_success, source=source,
+        stopped=stopped,
+    )  # fmt: skip
+    if demos is None:
+        return False
+    demos.save(folder / DEMOS)
+    told = demos.summary()
+    monitor.note(f"{told['episodes']} episodes, {_worth(told)}")
+    return True
+
+
+def train(
+    config: RunConfig, folder: Path, monitor: Monitor, results: Results = _NOTHING, *, checkpoint_every_s: float = 120.0
+) -> bool:
     """Train from the newest checkpoint in `folder`, or from the start, to the end of the run.
 
     A checkpoint is written after every evaluation and at least every `checkpoint_every_s` seconds; when they are
@@ -58,11 +108,13 @@ def train(config: RunConfig, folder: Path, monitor: Monitor, *, checkpoint_every
     torch.set_num_threads(config.threads)
     checkpoints = Checkpoints(folder / "checkpoint")
     checkpoints.folder.mkdir(parents=True, exist_ok=True)
-    trainer = _restore(config, checkpoints, monitor)
+    trainer = _restore(config, results, checkpoints, monitor)
     try:
         finished = _Session(trainer, checkpoints, monitor, checkpoint_every_s).run()
         if finished:
-            write_atomically(folder / "model.safetensors", encode(trainer.networks()))
+            networks = trainer.networks()
+            write_atomically(folder / "model.safetensors", encode(networks))
+            _tell(networks["imitation"], monitor)
     finally:
         trainer.close()
     if finished:
@@ -70,14 +122,28 @@ def train(config: RunConfig, folder: Path, monitor: Monitor, *, checkpoint_every
     return finished
 
 
-def _restore(config: RunConfig, checkpoints: Checkpoints, monitor: Monitor) -> Trainer:
-    trainer = Trainer(config)
+def _tell(prior: State | None, monitor: Monitor) -> None:
+    """Say what an imitation prior is worth, and how far it reaches."""
+    if prior is None:
+        return
+    spans = ", ".join(f"{low:.2f} to {high:.2f} on the {name}" for name, (low, high) in prior["range"].items())
+    monitor.note(f"the prior is g of step {prior['step']:,}, {_worth(prior)}; it runs from {spans}")
+
+
+def _worth(told: Mapping[str, Any]) -> str:
+    """Success, where the task has that notion, and return in words."""
+    success = "" if told["success"] is None else f"success {told['success']:.0%}, "
+    return f"{success}mean return {told['true_return']:,.1f}"
+
+
+def _restore(config: RunConfig, results: Results, checkpoints: Checkpoints, monitor: Monitor) -> Trainer:
+    trainer = Trainer(config, results)
 
     def restore(state: State) -> None:
         nonlocal trainer
         if trainer.experience.transitions:  # a checkpoint that turned out damaged half-way through
             trainer.close()
-            trainer = Trainer(config)
+            trainer = Trainer(config, results)
         trainer.load(checkpoints.folder, state)
 
     step = checkpoints.load(restore)
@@ -88,7 +154,7 @@ def _restore(config: RunConfig, checkpoints: Checkpoints, monitor: Monitor) -> T
     elif checkpoints.skipped:
         monitor.note("no usable checkpoint is left: starting again from step 0")
         trainer.close()
-        trainer = Trainer(config)
+        trainer = Trainer(config, results)
     return trainer
 
 
@@ -112,6 +178,8 @@ class _Session:
             if trainer.step % config.evaluation.every == 0 or trainer.step == config.steps:
                 self.monitor.row(trainer.evaluate())
                 self._log_figures()
+                if trainer.imitation is not None:
+                    trainer.imitation.publish(self.checkpoints.folder.parent)
                 self._save()
             now = time.monotonic()
             if now - beat_at >= _BEAT_S:

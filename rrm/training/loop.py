@@ -10,6 +10,7 @@ from __future__ import annotations
 import time
 from dataclasses import dataclass, field
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -22,7 +23,7 @@ from rrm.errors import NumericalError
 from rrm.interfaces import Floats
 from rrm.nets.precision import check_precision
 from rrm.seeding import Streams, evaluation_seed
-from rrm.training.build import build_prior, build_sessions
+from rrm.training.build import Results, build_imitation, build_prior, build_sessions
 from rrm.training.config import RunConfig
 from rrm.training.evaluate import evaluate
 from rrm.training.intrinsic import StateEntropy
@@ -56,7 +57,8 @@ class Clock:
 class Trainer:
     """All the state of one run. `advance` takes one environment step; rows are asked for with `evaluate`."""
 
-    def __init__(self, config: RunConfig) -> None:
+    def __init__(self, config: RunConfig, results: Results = MappingProxyType({})) -> None:
+        """Args: results: folders of the runs that this one requires, by identity."""
         check_precision(config.precision)
         spec = config.spec()
         self.config = config
@@ -66,8 +68,9 @@ class Trainer:
         self._eval_env = make(config.task, horizon=config.horizon)
         self.agent = Sac(config.agent, spec.obs_dim, spec.act_dim, self.streams, precision=config.precision)
         self.experience = Experience(config.steps, spec.obs_dim, spec.act_dim)
-        self.prior = build_prior(config, self.streams)
-        self.sessions = build_sessions(config, self.experience, self.streams)
+        self.prior = build_prior(config, self.streams, results)
+        self.imitation = build_imitation(config, self.experience, self.streams, results)
+        self.sessions = build_sessions(config, self.experience, self.streams, self.imitation)
         self.entropy = StateEntropy(config.exploration.neighbours)
         self.clock = Clock()
         self._replay = self.streams.torch("replay")
@@ -89,10 +92,13 @@ class Trainer:
         if not np.isfinite(true_reward):
             raise NumericalError(f"step {self.step}: the true reward is {true_reward}")
         raw, prior = (0.0, 0.0) if self.prior is None else self.prior(self._obs, act, info, self.step)
+        if self.imitation is not None and self.imitation.leads:
+            reward = self.imitation.look(self._obs, act, next_obs, terminated=terminated)
+        else:
+            reward = self._reward(self._obs, act, prior, true_reward)
         self.experience.append(
             obs=self._obs, act=act, prior=prior, raw_prior=raw, true_reward=true_reward,
-            reward=self._reward(self._obs, act, prior, true_reward),
-            next_obs=next_obs, terminated=terminated, truncated=truncated,
+            reward=reward, next_obs=next_obs, terminated=terminated, truncated=truncated,
         )  # fmt: skip
         self._return += true_reward
         self._length += 1
@@ -105,17 +111,18 @@ class Trainer:
         return self.agent.act(self._obs, explore=True)
 
     def _learn(self) -> None:
-        config, sessions = self.config, self.sessions
-        if sessions is None:
+        config, sessions, imitation = self.config, self.sessions, self.imitation
+        if imitation is not None and imitation.leads:
+            imitation.train(self.agent)
+        if sessions is None or (imitation is not None and imitation.leads):
             if self.step > config.random_steps:
                 self._update()
-            return
-        if self.step == config.first_session:
+        elif self.step == config.first_session and imitation is None:
             sessions.hold(self.step)
             self.agent.reset_critic()
             for _ in range(config.exploration.reset_updates):
                 self._update(always=True)
-        elif self.step > config.first_session:
+        elif self.step >= config.first_session:
             if sessions.due(self.step):
                 sessions.hold(self.step)
             self._update()
@@ -127,7 +134,10 @@ class Trainer:
         if not always and self.step % agent.update_every:
             return
         sessions = self.sessions
-        if sessions is not None and sessions.refinement_due(self.step):
+        if self.imitation is not None and self.imitation.leads:
+            batch = self.experience.sample(agent.batch, self._replay)
+            batch = batch._replace(reward=self.imitation.reward(batch))
+        elif sessions is not None and sessions.refinement_due(self.step):
             limits_end = sessions.learner.needs.time_limits_end
             batch = sessions.refine(
                 self.experience.sample(agent.batch, self._replay, time_limits_end=limits_end), self.agent
@@ -170,6 +180,8 @@ class Trainer:
         """
         config = self.config
         result = evaluate(self.agent, self._eval_env, config.evaluation, seed=config.seed, step=self.step)
+        if self.imitation is not None:
+            self.imitation.evaluated(result)
         figures: dict[str, Any] = self.agent.metrics()
         if self.agent.updates and not np.isfinite(list(figures.values())).all():
             raise NumericalError(f"step {self.step}: a figure of the agent is not finite: {figures}")
@@ -214,6 +226,7 @@ class Trainer:
             "agent": self.agent.state_dict(),
             "sessions": None if self.sessions is None else self.sessions.state_dict(),
             "prior": None if self.prior is None else self.prior.state_dict(),
+            "imitation": None if self.imitation is None else self.imitation.state_dict(),
             "entropy": self.entropy.state_dict(),
             "clock": self.clock.state_dict(),
             "loop": {
@@ -236,6 +249,8 @@ class Trainer:
             self.sessions.load_state_dict(state["sessions"])
         if self.prior is not None:
             self.prior.load_state_dict(state["prior"])
+        if self.imitation is not None:
+            self.imitation.load_state_dict(state["imitation"])
         self.entropy.load_state_dict(state["entropy"])
         self.clock.load_state_dict(state["clock"])
         loop = state["loop"]
@@ -244,10 +259,11 @@ class Trainer:
         self.streams.load_state_dict(state["streams"])
 
     def networks(self) -> State:
-        """What a finished run leaves behind: the agent and, where one was learned, the reward."""
+        """What a finished run leaves behind: the agent and, where there is one, the learned reward or the prior."""
         return {
             "agent": self.agent.state_dict(),
             "reward": None if self.sessions is None else self.sessions.learner.reward.state_dict(),
+            "imitation": None if self.imitation is None else self.imitation.prior(),
         }
 
     def close(self) -> None:

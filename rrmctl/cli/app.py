@@ -10,7 +10,7 @@ from typer.core import TyperGroup
 
 import rrm
 from rrm.errors import RrmError
-from rrmctl.cli import inspect, prior, report, run
+from rrmctl.cli import demos, inspect, prior, report, run
 from rrmctl.errors import Exit, UserError
 
 #: Conditions of the machine rather than bugs of the program.
@@ -87,6 +87,7 @@ for _command in (inspect.list_, inspect.plan, run.run, run.status, run.resume, r
     app.command(_command.__name__.rstrip("_"))(_command)  # list_ is the command `list`
 app.add_typer(report.report_app, name="report")
 app.add_typer(prior.prior_app, name="prior")
+app.add_typer(demos.demos_app, name="demos")
 
 
 def main() -> None:

@@ -28,7 +28,7 @@ def finish(layout: Layout, code: Exit, sweeps: Sequence[SweepRecord], *, damaged
     from rrmctl.store.reader import statuses
 
     names = list(dict.fromkeys(sweep.experiment for sweep in sweeps))
-    states = statuses(layout, (job for sweep in sweeps for job in sweep.jobs))
+    states = statuses(layout, (job for sweep in sweeps for job in sweep.everything))
     found = {status.state for status in states.values()}
     if code is not Exit.INTERRUPTED and "done" in found:
         _aggregate(layout, names)

@@ -115,11 +115,11 @@ def plan(
     console.print(f"makes {', '.join(manifest.reproduces)}; {manifest.rule}")
     console.print(f"profile {planned.variant}{_overridden(planned)}\n")
     console.print(_table(expected, each=each))
-    counts = [f"{expected.count(s)} {s}" for s in ("done", "running", "interrupted", "failed", "unreadable")]
+    counts = [f"{expected.count(s)} {s}" for s in ("done", "running", "interrupted", "failed", "blocked", "unreadable")]
     there = ", ".join(text for text in counts if not text.startswith("0 "))
-    console.print(
-        f"\n{len(planned.jobs)} jobs{f', {there}' if there else ', none run yet'}. {in_words(expected, usable_cores())}"
-    )
+    more = f" and {len(planned.needed)} that they need" if planned.needed else ""
+    told = f"{len(planned.jobs)} jobs{more}, {there or 'none run yet'}."
+    console.print(f"\n{told} {in_words(expected, usable_cores())}")
     for line in notes(planned, usable_cores()):
         console.print(f"  note: {line}")
     if expected.hours_left > 0:
@@ -140,7 +140,7 @@ def _table(expected: Forecast, *, each: bool) -> Any:
         table.add_column(name, justify="left" if name in ("state", "run") else "right")
     table.add_column("core time each", justify="right")
     groups: dict[tuple[str, str, str, str], list[Job]] = {}
-    for job in expected.plan.jobs:
+    for job in expected.plan.everything:
         groups.setdefault((job.task, job.method, job.teacher, job.feedback), []).append(job)
     for names, jobs in groups.items():
         common = (*names, f"{jobs[0].config.steps:,}")
@@ -159,14 +159,16 @@ def _as_json(expected: Forecast) -> dict[str, Any]:
     return {
         "experiment": plan.experiment, "profile": plan.profile, "variant": plan.variant, "overrides": plan.overrides,
         "core_hours": expected.cost.core_hours(), "core_hours_left": expected.hours_left,
-        "jobs": [
-            {
-                "id": job.id, "cell": job.config.cell, "task": job.task, "method": job.method, "teacher": job.teacher,
-                "feedback": job.feedback, "seed": job.seed, "steps": job.config.steps,
-                "state": str(expected.states[job.id].state), "core_seconds": expected.cost.seconds[job.id],
-            }
-            for job in plan.jobs
-        ],
+        "jobs": [_job_as_json(expected, job) for job in plan.jobs],
+        "needed": [_job_as_json(expected, job) for job in plan.needed],
+    }  # fmt: skip
+
+
+def _job_as_json(expected: Forecast, job: Job) -> dict[str, Any]:
+    return {
+        "id": job.id, "cell": job.config.cell, "task": job.task, "method": job.method, "teacher": job.teacher,
+        "feedback": job.feedback, "seed": job.seed, "steps": job.config.steps, "requires": list(job.config.requires),
+        "state": str(expected.states[job.id].state), "core_seconds": expected.cost.seconds[job.id],
     }  # fmt: skip
 
 

@@ -54,7 +54,7 @@ class Lines:
         self.say(job, text, style="yellow")
 
     def ended(self, job: str, outcome: Outcome, phase: Phase) -> None:
-        if phase in (Phase.DONE, Phase.FAILED):
+        if phase in (Phase.DONE, Phase.FAILED, Phase.BLOCKED):
             self.over += 1
         match outcome.ending:
             case Ending.DONE:
@@ -63,6 +63,8 @@ class Lines:
                 self.say(job, "stopped; it goes on from its checkpoint", style="yellow")
             case Ending.ELSEWHERE:
                 self.say(job, "is run by another process", style="dim")
+            case Ending.BLOCKED:
+                self.say(job, f"not run: {outcome.error}", style="red")
             case Ending.FAILED:
                 assert outcome.error is not None  # a failure says why
                 self._failed(job, outcome.error, phase)
@@ -134,7 +136,7 @@ class Bars(Lines):
             self.progress.remove_task(self._bars.pop(job))
         self._rates.pop(job, None)
         self._at.pop(job, None)
-        if phase in (Phase.DONE, Phase.FAILED):
+        if phase in (Phase.DONE, Phase.FAILED, Phase.BLOCKED):
             self._steps_done += self._jobs[job].steps
 
     def tick(self) -> None:

@@ -15,7 +15,10 @@ if TYPE_CHECKING:
     from rrmctl.store.records import JobRecord, Status, SweepRecord
 
 #: States in the order in which they are shown.
-STATES = ("done", "running", "interrupted", "queued", "failed", "unreadable")
+STATES = ("done", "running", "interrupted", "queued", "failed", "blocked", "unreadable")
+
+#: States in which nothing is left to be done, or can be.
+_OVER = ("done", "failed", "blocked")
 
 #: Speeds in environment steps per second, by task and method.
 Rates = Mapping[tuple[str, str], float]
@@ -46,8 +49,8 @@ class Group:
 
     @property
     def open(self) -> int:
-        """Runs that are neither done nor failed."""
-        return len(self.jobs) - self.counts["done"] - self.counts["failed"]
+        """Runs that are neither done nor failed, nor blocked by one that failed."""
+        return len(self.jobs) - sum(self.counts[state] for state in _OVER)
 
     @cached_property
     def seconds_left(self) -> float | None:
@@ -56,7 +59,7 @@ class Group:
         total = 0.0
         for job in self.jobs:
             status = self.states[job.id]
-            if status.state in ("done", "failed"):
+            if status.state in _OVER:
                 continue
             rate = rates.get((job.task, job.method))
             if rate is None:
@@ -82,7 +85,7 @@ class Group:
 def group_by_sweep(sweeps: Iterable[SweepRecord], states: Mapping[str, Status]) -> list[Group]:
     """One group for each variant of each experiment."""
     return [
-        Group(f"{sweep.experiment} ({sweep.variant})", _once(sweep.jobs), states, heading="experiment")
+        Group(f"{sweep.experiment} ({sweep.variant})", _once(sweep.everything), states, heading="experiment")
         for sweep in sweeps
     ]
 
@@ -91,9 +94,9 @@ def group_by_row(sweeps: Iterable[SweepRecord], states: Mapping[str, Status]) ->
     """One group for each row of the grid of each variant: all seeds of it."""
     groups = []
     for sweep in sweeps:
-        rates = speeds(sweep.jobs, states)
+        rates = speeds(sweep.everything, states)
         rows: defaultdict[tuple[str, ...], list[JobRecord]] = defaultdict(list)
-        for job in sweep.jobs:
+        for job in sweep.everything:
             words = (job.task, job.method, job.teacher, job.feedback)
             rows[sweep.variant, *(word for word in words if word not in ("", "-"))].append(job)
         groups += [Group("  ".join(names), jobs, states, rates, "row") for names, jobs in rows.items()]
@@ -112,11 +115,11 @@ def speeds(jobs: Iterable[JobRecord], states: Mapping[str, Status]) -> dict[tupl
 
 
 def errors(jobs: Iterable[JobRecord], states: Mapping[str, Status]) -> dict[str, list[JobRecord]]:
-    """Failed and unreadable runs by what went wrong, the most frequent first."""
+    """Failed, blocked and unreadable runs by what went wrong, the most frequent first."""
     found: defaultdict[str, list[JobRecord]] = defaultdict(list)
     for job in jobs:
         status = states[job.id]
-        if status.state in ("failed", "unreadable"):
+        if status.state in ("failed", "blocked", "unreadable"):
             found[str(status.error or "no reason was recorded")].append(job)
     return dict(sorted(found.items(), key=lambda item: -len(item[1])))
 

@@ -12,9 +12,9 @@ from rrmctl.errors import UserError
 
 if TYPE_CHECKING:
     from rrmctl.planning.cost import Estimate
-    from rrmctl.planning.plan import Plan
+    from rrmctl.planning.plan import Job, Plan
     from rrmctl.store.layout import Layout
-    from rrmctl.store.records import Status
+    from rrmctl.store.records import JobRecord, Status
 
 
 @dataclass(frozen=True)
@@ -82,10 +82,20 @@ def forecast(plan: Plan, layout: Layout) -> Forecast:
         UserError: a sweep record is damaged.
     """
     from rrmctl.planning.cost import estimate, stored_rates
-    from rrmctl.store.reader import run_status
+    from rrmctl.store.reader import statuses
 
-    states = {job.id: run_status(layout.run(job.id)) for job in plan.jobs}
+    states = statuses(layout, plan.everything)
     return Forecast(plan, states, estimate(plan, stored_rates(layout, states)))
+
+
+def job_record(job: Job) -> JobRecord:
+    """A job as the store records it."""
+    from rrmctl.store.records import JobRecord
+
+    return JobRecord(
+        id=job.id, cell=job.config.cell, task=job.task, method=job.method, teacher=job.teacher, feedback=job.feedback,
+        seed=job.seed, steps=job.config.steps, requires=job.requires,
+    )  # fmt: skip
 
 
 def in_words(forecast: Forecast, cores: int) -> str:
@@ -118,7 +128,7 @@ def smaller(request: Request, plan: Plan) -> list[str]:
             other = replace(request, profile=name, seeds=f"{min(seeds)},").plan()
         except UserError:  # a profile that cannot hold the request is no advice
             continue
-        hours = len(seeds) * estimate(other, {}, gemm).core_hours()
+        hours = estimate(other, {}, gemm).core_hours({job.id: len(seeds) for job in other.jobs})  # needs are met once
         if hours < bound / 2:  # a profile that saves little is no advice
             lines.append(f"--profile {name}: about {duration(hours)} of one core; {scale.about}")
             bound = hours

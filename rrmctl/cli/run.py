@@ -24,7 +24,7 @@ from rrmctl.cli.options import (
     TasksOption,
 )
 from rrmctl.cli.progress import runs
-from rrmctl.cli.request import Request, forecast, in_words, smaller
+from rrmctl.cli.request import Request, forecast, in_words, job_record, smaller
 from rrmctl.cli.state import note_damage, show, status
 from rrmctl.errors import Exit, UserError
 
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from rrmctl.cli.request import Forecast
-    from rrmctl.planning.plan import Job, Plan
+    from rrmctl.planning.plan import Plan
     from rrmctl.running.pool import Assignment
     from rrmctl.store.layout import Layout
     from rrmctl.store.records import JobRecord, Status, SweepRecord
@@ -89,15 +89,19 @@ def run(
     layout = new_results(results)
     plan = request.plan()
     note_damage(readable_sweeps(layout)[1])
-    slots = workers or _default_slots(job.config.threads for job in plan.jobs)
+    slots = workers or _default_slots(job.config.threads for job in plan.everything)
     expected = forecast(plan, layout)
     _introduce(console, request, _from_nothing(expected) if force else expected, slots)
-    chosen = [job for job in plan.jobs if force or _is_open(expected.states[job.id], retry_failed=retry_failed)]
+    anew = {job.id for job in plan.jobs} if force else set()
+    chosen = [
+        job for job in plan.everything if job.id in anew or _is_open(expected.states[job.id], retry_failed=retry_failed)
+    ]
     if chosen and expected.hours_left > _LARGE_H and not yes and _asks() and not typer.confirm("Start?", err=True):
         raise typer.Exit(Exit.INCOMPLETE)
     sweep = _record(console, layout, plan)
     assigned = [
-        _assignment(_job_record(job), expected.states[job.id], job.config.threads, fresh=force) for job in chosen
+        _assignment(job_record(job), expected.states[job.id], job.config.threads, fresh=job.id in anew)
+        for job in chosen
     ]
     code = _run(console, layout, assigned, slots)
     finish(layout, code, [sweep])
@@ -124,12 +128,13 @@ def resume(
     note_damage(damage)
     if not sweeps:
         raise UserError(f"{results} holds no sweep", "begin one with `rrmctl run NAME`; `rrmctl list` shows the names")
-    jobs = {job.id: job for sweep in sweeps for job in sweep.jobs}
+    jobs = {job.id: job for sweep in sweeps for job in sweep.everything}
     states = statuses(layout, jobs.values())
     chosen = [job for job in jobs.values() if _is_open(states[job.id], retry_failed=retry_failed)]
     for sweep in sweeps:
-        count = sum(_is_open(states[job.id], retry_failed=retry_failed) for job in sweep.jobs)
-        console.print(f"{sweep.experiment} ({sweep.variant}): {count} of {runs(len(sweep.jobs))} to go", soft_wrap=True)
+        count = sum(_is_open(states[job.id], retry_failed=retry_failed) for job in sweep.everything)
+        total = runs(len(sweep.everything))
+        console.print(f"{sweep.experiment} ({sweep.variant}): {count} of {total} to go", soft_wrap=True)
     assigned = [_assignment(job, states[job.id], _threads(layout, job), fresh=False) for job in chosen]
     code = _run(console, layout, assigned, workers or _default_slots(job.threads for job in assigned))
     finish(layout, code, sweeps, damaged=bool(damage))
@@ -157,7 +162,9 @@ def _introduce(console: Console, request: Request, expected: Forecast, slots: in
     done, failed = expected.count("done"), expected.count("failed")
     there = f", {done} done already" if done else ""
     there += f", {failed} failed" if failed else ""
-    console.print(f"{plan.experiment} ({plan.variant}): {runs(len(plan.jobs))}{there}.", style="bold", soft_wrap=True)
+    more = f" and {len(plan.needed)} that they need" if plan.needed else ""
+    told = f"{plan.experiment} ({plan.variant}): {runs(len(plan.jobs))}{more}{there}."
+    console.print(told, style="bold", soft_wrap=True)
     console.print(in_words(expected, slots), soft_wrap=True)
     for line in notes(plan, usable_cores()):
         console.print(f"  note: {line}", soft_wrap=True)
@@ -168,7 +175,7 @@ def _introduce(console: Console, request: Request, expected: Forecast, slots: in
 
 def _is_open(status: Status, *, retry_failed: bool) -> bool:
     """True for a run that is to be worked on. One that is running elsewhere is: it may be given up there."""
-    return status.state != "done" and (status.state != "failed" or retry_failed)
+    return status.state != "done" and (status.state not in ("failed", "blocked") or retry_failed)
 
 
 def _record(console: Console, layout: Layout, plan: Plan) -> SweepRecord:
@@ -176,32 +183,24 @@ def _record(console: Console, layout: Layout, plan: Plan) -> SweepRecord:
     from rrmctl.running.runfile import config_content
     from rrmctl.store.records import SweepRecord, record_config, record_sweep
 
-    for job in plan.jobs:
+    for job in plan.everything:
         note = record_config(layout.run(job.id), config_content(job.config))
         if note is not None:
             console.print(f"note: {note}", markup=False, soft_wrap=True)
     asked = SweepRecord(
         experiment=plan.experiment, variant=plan.variant, profile=plan.profile, overrides=plan.overrides,
-        jobs=tuple(map(_job_record, plan.jobs)),
+        jobs=tuple(map(job_record, plan.jobs)), needed=tuple(map(job_record, plan.needed)),
     )  # fmt: skip
     record_sweep(layout, asked)
     return asked
-
-
-def _job_record(job: Job) -> JobRecord:
-    from rrmctl.store.records import JobRecord
-
-    return JobRecord(
-        id=job.id, cell=job.config.cell, task=job.task, method=job.method, teacher=job.teacher, feedback=job.feedback,
-        seed=job.seed, steps=job.config.steps,
-    )  # fmt: skip
 
 
 def _assignment(job: JobRecord, status: Status, threads: int, *, fresh: bool) -> Assignment:
     from rrmctl.running.pool import Assignment
 
     return Assignment(
-        id=job.id, label=job.label, steps=job.steps, threads=threads, attempt=status.attempt, fresh=fresh
+        id=job.id, label=job.label, steps=job.steps, threads=threads, attempt=status.attempt, fresh=fresh,
+        requires=job.requires,
     )  # fmt: skip
 
 

@@ -23,7 +23,14 @@ if TYPE_CHECKING:
 #: Time between two looks of `status --watch`, seconds.
 _WATCH_S = 2.0
 
-_COLOURS = {"done": "green", "running": "cyan", "interrupted": "yellow", "failed": "red", "unreadable": "bold red"}
+_COLOURS = {
+    "done": "green",
+    "running": "cyan",
+    "interrupted": "yellow",
+    "failed": "red",
+    "blocked": "red",
+    "unreadable": "bold red",
+}
 
 
 def status(
@@ -48,7 +55,7 @@ def status(
 
     def look() -> _View:
         sweeps = readable_sweeps(layout)[0] if name is None else find_sweeps(layout, name)
-        states = statuses(layout, (job for sweep in sweeps for job in sweep.jobs))
+        states = statuses(layout, (job for sweep in sweeps for job in sweep.everything))
         return _View(layout, sweeps, states, detailed=name is not None, failed=failed)
 
     view = look()
@@ -172,7 +179,7 @@ class _View:
         }  # fmt: skip
 
     def _every_job(self) -> list[Any]:
-        return list({job.id: job for sweep in self._sweeps for job in sweep.jobs}.values())
+        return list({job.id: job for sweep in self._sweeps for job in sweep.everything}.values())
 
 
 def show(
@@ -201,9 +208,9 @@ def _sections(layout: Layout, folder: RunFolder, lines: int) -> list[tuple[str, 
     now = run_status(folder)
     sweeps, damage = readable_sweeps(layout)
     note_damage(damage)
-    uses = [(sweep, job) for sweep in sweeps for job in sweep.jobs if job.id == folder.id]
+    uses = [(sweep, job) for sweep in sweeps for job in sweep.everything if job.id == folder.id]
     state = f"{now.state}, attempt {now.attempt}, step {now.step:,}" + (f" of {now.steps:,}" if now.steps else "")
-    again = [rerun_command(layout, sweep, job) for sweep, job in uses]
+    again = [rerun_command(layout, sweep, job) for sweep, job in uses if job in sweep.jobs]
     return [
         (f"run {folder.id}", "\n".join([str(folder.path), *(f"{s.experiment}: {j.label}" for s, j in uses)])),
         ("state", state + (f"\n{now.error}" if now.error else "")),

@@ -15,7 +15,7 @@ from collections.abc import Iterator, Mapping
 from functools import cache
 from typing import Any
 
-from rrm.config import EvaluationConfig, ExplorationConfig, FeedbackConfig, MrnConfig
+from rrm.config import EvaluationConfig, ExplorationConfig, FeedbackConfig, ImitationConfig, MrnConfig
 from rrm.envs.tasks import TASKS
 from rrm.teachers import TEACHERS
 from rrm.training.config import RunConfig
@@ -63,11 +63,16 @@ def configure(manifest: Manifest, row: Row, method: Method, scale: str, override
     if method.prior is not None:
         decided["reward.prior"] = method.prior.replace(TASK, row.task)
     ratios = _ratios(scale, row.task, method.kind)
-    layers = [Checked(layer.where, settings) for layer, settings in _profile_settings(scale, row.task, method.kind)]
+    layers = profile_layers(scale, row.task, method.kind)
     layers += [_scaled(layer, ratios, scale) for layer in _manifest_layers(manifest, row, method)]
     own = _section(manifest, "profile", manifest.profiles, scale)
     layers += [Checked(own.where, flatten(own)), Checked("--set", overrides)]
     return resolve(layers, f"{manifest.path}: {row.task}, {row.method}", **decided)
+
+
+def profile_layers(scale: str, task: str, kind: Kind) -> list[Checked]:
+    """What the profile sets for a task and a kind of method, widest first."""
+    return [Checked(layer.where, settings) for layer, settings in _profile_settings(scale, task, kind)]
 
 
 def feedback_label(manifest: Manifest, row: Row, config: RunConfig) -> str:
@@ -143,6 +148,7 @@ def _amounts(scale: str, task: str, kind: Kind) -> dict[str, int]:
         ("exploration", ExplorationConfig()),
         ("evaluation", EvaluationConfig()),
         ("reward.mrn", MrnConfig()),
+        ("imitation", ImitationConfig()),
     ):
         values |= {f"{room}.{name}": value for name, value in model.model_dump().items()}
     for _, settings in _profile_settings(scale, task, kind):

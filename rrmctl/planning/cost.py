@@ -12,6 +12,8 @@ in matrix products (`measure_gemm`):
     session    epochs * n / minibatch * (0.5 ms + 1.2 * 12 P_reward * segment * minibatch * members / G)
                + 1.2 * 2 P_reward * members * step / G                n labels so far; relabelling the buffer
                (SURF: segments with their margins, and its pairs without a label in each minibatch)
+    imitation  updates / every * (0.5 ms + 1.2 * 4 B (3 P_g + 6 P_h + P_actor) / G)      discriminator, and for every
+               + 0.5 ms + 1.2 * 2 B (P_g + 2 P_h) / G                                   step the reward of a batch
     evaluation episodes * steps of an episode * (simulator + 0.3 ms)
 
 The constants were fitted on one machine; the result is good to about a factor of 1.5. One job keeps one core busy.
@@ -34,6 +36,7 @@ from rrmctl.errors import UserError
 
 if TYPE_CHECKING:
     from rrm.training.config import RunConfig
+    from rrmctl.planning.needs import Config
     from rrmctl.planning.plan import Job, Plan
     from rrmctl.store.layout import Layout
     from rrmctl.store.records import Status
@@ -72,7 +75,7 @@ class Estimate:
     measured: frozenset[str]  #: ids of the jobs whose rate comes from stored runs
 
     def core_hours(self, left: Mapping[str, float] | None = None) -> float:
-        """Of all jobs, or of the share of each that is `left` (1 where it is not named)."""
+        """Of all jobs, or of so much of each as is `left`, in whole jobs (1 where it is not named)."""
         share = left or {}
         return sum(s * share.get(job, 1.0) for job, s in self.seconds.items()) / 3600
 
@@ -96,7 +99,7 @@ def estimate(plan: Plan, rates: Rates, gemm: float | None = None) -> Estimate:
     seconds: dict[str, float] = {}
     measured = set()
     modelled: dict[tuple[str, ...], float] = {}
-    for job in plan.jobs:
+    for job in plan.everything:
         rate = rates.get((job.task, job.method, plan.variant))
         if rate is not None:
             seconds[job.id] = _START_S + job.config.steps / rate
@@ -122,8 +125,8 @@ def stored_rates(layout: Layout, known: Mapping[str, Status] | None = None) -> d
     states = dict(known or {})
     speeds: dict[tuple[str, str, str], list[float]] = defaultdict(list)
     for sweep in readable_sweeps(layout)[0]:
-        states |= statuses(layout, (job for job in sweep.jobs if job.id not in states))
-        for job in sweep.jobs:
+        states |= statuses(layout, (job for job in sweep.everything if job.id not in states))
+        for job in sweep.everything:
             status = states[job.id]
             if status.state is State.DONE and status.wall_s:
                 speeds[job.task, job.method, sweep.variant].append(status.step / status.wall_s)
@@ -152,14 +155,17 @@ def measure_gemm() -> float:
     return float(done.stdout)
 
 
-def model_seconds(config: RunConfig, gemm: float) -> float:
+def model_seconds(config: Config, gemm: float) -> float:
     """Seconds of one run from nothing to its end on one core; the formula is at the top of this module.
 
     Args:
         gemm: floating-point operations per second of the core.
     """
-    spec, agent = config.spec(), config.agent
+    spec = config.spec()
     step = _SIMULATOR_S.get(spec.name, _SIMULATOR_S[spec.suite]) + _ACT_S
+    if config.kind == "demos":
+        return _START_S + config.steps * step
+    agent = config.agent
     actor = _weights(spec.obs_dim, agent.hidden, agent.layers, 2 * spec.act_dim)
     critic = _weights(spec.obs_dim + spec.act_dim, agent.hidden, agent.layers, 1)
     update = _CALL_S + _SLACK * 2 * agent.batch * (4 * actor + 12 * critic) / gemm
@@ -167,7 +173,8 @@ def model_seconds(config: RunConfig, gemm: float) -> float:
     states = config.random_steps + config.exploration.unsupervised_steps / 2
     entropy = config.exploration.unsupervised_steps * 2 * agent.batch * spec.obs_dim * states / gemm
     evaluated = math.ceil(config.steps / config.evaluation.every) * config.evaluation.episodes * config.episode_steps
-    return _START_S + (config.steps + evaluated) * step + updates * update + entropy + _reward_seconds(config, gemm)
+    learning = updates * update + entropy + _reward_seconds(config, gemm) + _imitation_seconds(config, gemm)
+    return _START_S + (config.steps + evaluated) * step + learning
 
 
 def _reward_seconds(config: RunConfig, gemm: float) -> float:
@@ -184,6 +191,20 @@ def _reward_seconds(config: RunConfig, gemm: float) -> float:
     stored = config.first_session + feedback.every * (sessions - 1) / 2
     relabel = _SLACK * 2 * weights * stored / gemm
     return sessions * (reward.epochs * max(labels / reward.minibatch, 1) * fit + relabel)
+
+
+def _imitation_seconds(config: RunConfig, gemm: float) -> float:
+    """What learning from demonstrations adds: the discriminator's steps, and a reward for every batch of the agent."""
+    if not config.from_demonstrations:
+        return 0.0
+    spec, imitation, agent = config.spec(), config.imitation, config.agent
+    steps = (config.first_session if config.reward.is_learned else config.steps) - config.random_steps
+    shape = (imitation.hidden, imitation.layers, 1)
+    g, h = _weights(spec.obs_dim + spec.act_dim, *shape), 2 * _weights(spec.obs_dim, *shape)
+    actor = _weights(spec.obs_dim, agent.hidden, agent.layers, 2 * spec.act_dim)
+    gradient = _CALL_S + _SLACK * 2 * (2 * imitation.minibatch) * (3 * g + 3 * h + actor) / gemm
+    reward = _CALL_S + _SLACK * 2 * agent.batch * (g + h) / gemm
+    return steps * (imitation.updates / imitation.every * gradient + reward / agent.update_every)
 
 
 def _weights(inputs: int, hidden: int, layers: int, outputs: int) -> int:

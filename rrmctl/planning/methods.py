@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from rrm.config import KNOWN_REWARDS
+from rrm.config import DEMONSTRATED, KNOWN_REWARDS
 from rrm.errors import ConfigError
 from rrm.priors import PRIORS
 from rrm.registry import check_file, is_file_reference
@@ -43,7 +43,8 @@ def grammar() -> dict[str, tuple[str, str | None]]:
     names: dict[str, tuple[str, str | None]] = {"oracle": ("true", None)}
     names |= {learner: (learner, None) for learner in LEARNERS}
     names |= {f"sac-{prior}": ("prior", prior) for prior in PRIORS}
-    names |= {f"rrm-{learner}-{prior}": (learner, prior) for learner in LEARNERS for prior in PRIORS}
+    based = [learner for learner in LEARNERS if learner not in DEMONSTRATED]
+    names |= {f"rrm-{learner}-{prior}": (learner, prior) for learner in based for prior in PRIORS}
     names |= {f"rrm-{prior}": (BASE_LEARNER, prior) for prior in PRIORS}
     return names
 

@@ -21,9 +21,12 @@ def _unasked(plan: Plan) -> list[str]:
     short: dict[str, dict[str, None]] = defaultdict(dict)
     cells = {(job.task, job.method, job.teacher, job.feedback): job for job in plan.jobs}  # every seed asks the same
     for job in cells.values():
-        feedback, queries = job.config.feedback, job.config.queries()
-        if feedback is not None and queries < feedback.budget:
-            said = f"{queries:,} of {feedback.budget:,} questions fit into {job.config.steps:,} steps"
+        config = job.config
+        if config.kind != "train" or config.feedback is None:
+            continue
+        budget, queries = config.feedback.budget, config.queries()
+        if queries < budget:
+            said = f"{queries:,} of {budget:,} questions fit into {config.steps:,} steps"
             short[said][f"{job.task} {job.method}"] = None
     return [f"{said}: {', '.join(names)}" for said, names in short.items()]
 

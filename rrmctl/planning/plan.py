@@ -11,12 +11,12 @@ from pathlib import Path
 from typing import Any
 
 from rrm.errors import RrmError
-from rrm.training.config import RunConfig
 from rrmctl.errors import UserError
 from rrmctl.planning.cells import check_names, check_sections, configure, feedback_label
 from rrmctl.planning.grid import AXES, Row, rows_of
 from rrmctl.planning.manifest import Manifest, nearest
 from rrmctl.planning.methods import Method, method, residual
+from rrmctl.planning.needs import Config, supply
 from rrmctl.planning.profiles import profile as find_profile
 from rrmctl.planning.settings import check_assignments, parse_assignments
 
@@ -29,12 +29,17 @@ class Job:
     """One run and the names under which this experiment reports it."""
 
     id: str  #: the run's identity
-    config: RunConfig
+    config: Config
     task: str
     method: str
     teacher: str  #: "-" where nothing is asked
     feedback: str  #: "50@5000/5000": queries of a session, steps between sessions, queries in all; "-" where none
     seed: int
+
+    @property
+    def requires(self) -> tuple[str, ...]:
+        """Ids of the runs that must be done before it."""
+        return self.config.requires
 
 
 @dataclass(frozen=True)
@@ -46,7 +51,13 @@ class Plan:
     overrides: dict[str, Any]  #: of `--set`, by dotted name
     variant: str  #: stands for profile and overrides; results of two variants are never put together
     jobs: tuple[Job, ...]  #: seed by seed, so that every method has its first curve early
+    needed: tuple[Job, ...]  #: runs that jobs need and that are none of them, each before those that need it
     manifest: Manifest
+
+    @property
+    def everything(self) -> tuple[Job, ...]:
+        """All runs, those that others need first."""
+        return (*self.needed, *self.jobs)
 
 
 def make_plan(
@@ -83,13 +94,20 @@ def make_plan(
     added = _added(priors, known)
     beside = [replace(row, method=name) for row in rows for name in added]
     rows = list(dict.fromkeys([*_only(rows, "method", methods, manifest, added), *beside]))
-    cells = [_cell(manifest, row, (known | added)[row.method], scale, settings) for row in rows]
+    cells, chains = [], []
+    for row in rows:
+        cell, chain = _cell(manifest, row, (known | added)[row.method], scale, settings)
+        cells.append(cell)
+        chains += chain
     _refuse_ambiguous(cells, manifest)
     jobs: dict[str, Job] = {}
     for seed, cell in itertools.product(numbers, cells):
         job = _seeded(cell, seed)
         jobs.setdefault(job.id, job)
-    return Plan(manifest.name, scale, settings, variant(scale, settings), tuple(jobs.values()), manifest)
+    needed = {job.id: job for job in chains if job.id not in jobs}
+    return Plan(
+        manifest.name, scale, settings, variant(scale, settings), tuple(jobs.values()), tuple(needed.values()), manifest
+    )
 
 
 def parse_seeds(given: str | int | Sequence[int], where: str) -> list[int]:
@@ -179,16 +197,28 @@ def _added(priors: Sequence[str], known: Mapping[str, Method]) -> dict[str, Meth
     return added
 
 
-def _cell(manifest: Manifest, row: Row, method: Method, scale: str, settings: dict[str, Any]) -> Job:
-    """The row as a job of seed 0, its files read and digested once for all seeds."""
+def _cell(manifest: Manifest, row: Row, method: Method, scale: str, settings: dict[str, Any]) -> tuple[Job, list[Job]]:
+    """The row as a job of seed 0, its files read and digested once for all seeds; and the jobs that it needs first."""
     try:
-        config = configure(manifest, row, method, scale, settings).canonical()
+        # What --set names is seen from the command's folder, what the manifest names from its own.
+        folder = Path.cwd() if "imitation.demos" in settings else manifest.path.parent
+        supplied = supply(configure(manifest, row, method, scale, settings), scale, folder)
+        config = supplied.config.canonical()
     except RrmError as error:
         raise UserError(f"{manifest.path}: {row.task}, {row.method}: {error}") from None
     asked = config.feedback is not None
-    return Job(
+    cell = Job(
         id="", config=config, task=row.task, method=row.method, teacher=row.teacher if asked else "-",
         feedback=feedback_label(manifest, row, config), seed=0,
+    )  # fmt: skip
+    return cell, [_needed(each) for each in supplied.needed]
+
+
+def _needed(config: Config) -> Job:
+    # An oracle that nothing reports has a name of its own: the experiment's may be of another length.
+    name = "expert" if config.method == "oracle" else config.method
+    return Job(
+        id=config.identity, config=config, task=config.task, method=name, teacher="-", feedback="-", seed=config.seed
     )  # fmt: skip
 
 
@@ -199,7 +229,7 @@ def _seeded(cell: Job, seed: int) -> Job:
 
 def _refuse_ambiguous(cells: Iterable[Job], manifest: Manifest) -> None:
     """Two different configurations under one name could not be told apart in any report."""
-    seen: dict[tuple[str, ...], RunConfig] = {}
+    seen: dict[tuple[str, ...], Config] = {}
     for cell in cells:
         names = (cell.task, cell.method, cell.teacher, cell.feedback)
         if seen.setdefault(names, cell.config) != cell.config:

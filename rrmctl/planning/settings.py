@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import tomllib
 import types
 from collections.abc import Iterable, Iterator, Mapping
@@ -26,10 +27,14 @@ AMOUNTS = (
     "exploration.seed_steps", "exploration.unsupervised_steps",
     "evaluation.every",
     "reward.mrn.every",
+    "imitation.steps", "imitation.seed_steps", "imitation.every", "imitation.window", "imitation.switch",
 )  # fmt: skip
 
 #: Larger integers do not survive JSON and parquet.
 _LARGEST = 2**53
+
+#: Text that needs no quotes after --set: a word, or the path of a file.
+_BARE = re.compile(r"[\w-]+|[\w~./-]*[/.][A-Za-z][\w./-]*")
 
 #: Settings that something else decides, and what does.
 _DECIDED = {
@@ -40,6 +45,9 @@ _DECIDED = {
     "reward.prior": "the method ([method.NAME] prior = ...) or --prior",
     "reward.learner_digest": "planning, from the file's content",
     "reward.prior_digest": "planning, from the file's content",
+    "reward.prior_run": "planning, from the settings in imitation",
+    "imitation.demos_digest": "planning, from the file's content",
+    "imitation.demos_run": "planning, from the settings in imitation",
 }
 
 
@@ -222,6 +230,6 @@ def _value(text: str, where: str) -> Any:
         table = {}
     if table.keys() == {"value"}:
         return table["value"]
-    if text.replace("-", "").replace("_", "").isalnum():
+    if _BARE.fullmatch(text):
         return text
     raise UserError(f"{where}: not a TOML value", 'numbers, true, false, "text", [1, 2]')

@@ -22,7 +22,7 @@ from rrmctl.running.child import WORKER, Child
 from rrmctl.running.scheduler import Ending, Outcome, Phase, Scheduler
 from rrmctl.store.atomic import StorageError
 from rrmctl.store.layout import Layout
-from rrmctl.store.reader import run_status
+from rrmctl.store.reader import blocked_by, run_status
 from rrmctl.store.records import ErrorKind, RunError, State, Status, record_failure
 
 #: Longest wait between two looks at the children, seconds; pipes and signals end it early.
@@ -42,6 +42,7 @@ class Assignment:
     threads: int = 1
     attempt: int = 0  #: of its status when the command was given; a higher one later was somebody else's
     fresh: bool = False  #: remove what the run holds and start from nothing
+    requires: Sequence[str] = ()  #: runs that must be done before it
 
 
 class Watcher(Protocol):
@@ -91,7 +92,8 @@ class Pool:
     def __post_init__(self) -> None:
         self._jobs = {assignment.id: assignment for assignment in self.assignments}
         self._selector = selectors.DefaultSelector()
-        self.scheduler = Scheduler(self._jobs, slots=self.slots, retries=self.retries)
+        requires = {assignment.id: assignment.requires for assignment in self.assignments if assignment.requires}
+        self.scheduler = Scheduler(self._jobs, slots=self.slots, retries=self.retries, requires=requires)
 
     def run(self) -> Exit:
         """See every job to its end, or to a good place to stop.
@@ -229,6 +231,9 @@ class Pool:
             except UserError as error:
                 self.watcher.note(job, f"its failure could not be recorded: {error}")
         self.watcher.ended(job, outcome, phase)
+        if phase is Phase.FAILED:
+            for blocked in self.scheduler.block(job):
+                self.watcher.ended(blocked, Outcome(Ending.BLOCKED, blocked_by(job, outcome.error)), Phase.BLOCKED)
 
     def _forget(self, child: Child) -> None:
         if child.open:

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections import Counter, deque
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
 from enum import StrEnum
+from types import MappingProxyType
 
 from rrmctl.errors import Exit
 from rrmctl.store.records import ErrorKind, RunError
@@ -20,6 +21,7 @@ class Phase(StrEnum):
     DONE = "done"
     FAILED = "failed"
     STOPPED = "stopped"  #: left in good order before its end; a later command goes on with it
+    BLOCKED = "blocked"  #: one that it needs has failed
 
 
 class Ending(StrEnum):
@@ -29,6 +31,7 @@ class Ending(StrEnum):
     STOPPED = "stopped"  #: checkpointed and left
     FAILED = "failed"  #: see the error
     ELSEWHERE = "elsewhere"  #: it did not begin: another process owns the run
+    BLOCKED = "blocked"  #: it did not begin: a run that it needs has failed
 
 
 @dataclass(frozen=True)
@@ -36,7 +39,7 @@ class Outcome:
     """The end of one attempt."""
 
     ending: Ending
-    error: RunError | None = None  #: of one that failed
+    error: RunError | None = None  #: of one that failed or is blocked
 
 
 #: Failures worth another attempt. The others would fail again in the same way.
@@ -50,11 +53,20 @@ class Scheduler:
         jobs: their ids, in the order in which they should start.
         slots: how many may run at a time.
         retries: how often a job that crashed is tried again without a further evaluation in between.
+        requires: for jobs that need others, which; those that are none of `jobs` count as done.
     """
 
-    def __init__(self, jobs: Iterable[str], *, slots: int, retries: int = 2) -> None:
+    def __init__(
+        self,
+        jobs: Iterable[str],
+        *,
+        slots: int,
+        retries: int = 2,
+        requires: Mapping[str, Collection[str]] = MappingProxyType({}),
+    ) -> None:
         self._queue: deque[str] = deque(jobs)
         self._phase = dict.fromkeys(self._queue, Phase.WAITING)
+        self._requires = {job: [each for each in needed if each in self._phase] for job, needed in requires.items()}
         self._slots = slots
         self._retries = retries
         self._crashes: Counter[str] = Counter()
@@ -64,10 +76,13 @@ class Scheduler:
         self.stopping = False  #: nothing starts any more
 
     def next(self) -> str | None:
-        """The job that may start now; None while every slot is taken or nothing waits."""
-        if self.stopping or self._running >= self._slots or not self._queue:
+        """The job that may start now; None while every slot is taken or nothing waits but for others."""
+        if self.stopping or self._running >= self._slots:
             return None
-        return self._queue[0]
+        return next(filter(self._ready, self._queue), None)
+
+    def _ready(self, job: str) -> bool:
+        return all(self._phase[needed] is Phase.DONE for needed in self._requires.get(job, ()))
 
     def start(self, job: str) -> None:
         """The job `next` named is running."""
@@ -91,6 +106,14 @@ class Scheduler:
         self._enter(job, self._after(job, outcome))
         return self._phase[job]
 
+    def block(self, failed: str) -> list[str]:
+        """The jobs that can no longer start since this one failed, those that need them included."""
+        blocked = [job for job in self._queue if failed in self._requires.get(job, ())]
+        for job in blocked:
+            self._queue.remove(job)
+            self._phase[job] = Phase.BLOCKED
+        return blocked + [further for job in blocked for further in self.block(job)]
+
     def free(self, job: str) -> None:
         """A job that ran elsewhere was given up there; it is the next to start here."""
         self._leave(job)
@@ -106,7 +129,7 @@ class Scheduler:
         """True when there is nothing left to wait for."""
         if self._running:
             return False
-        return self.stopping or not (self._queue or self._elsewhere)
+        return self.stopping or not (self._elsewhere or any(map(self._ready, self._queue)))
 
     @property
     def elsewhere(self) -> list[str]:
@@ -124,7 +147,7 @@ class Scheduler:
     def exit_code(self) -> Exit:
         """What the command leaves with: incomplete while there is more to do, else failed if anything failed."""
         counts = self.counts()
-        if counts[Phase.DONE] + counts[Phase.FAILED] < len(self._phase):
+        if counts[Phase.DONE] + counts[Phase.FAILED] + counts[Phase.BLOCKED] < len(self._phase):
             return Exit.INCOMPLETE
         return Exit.FAILED if counts[Phase.FAILED] else Exit.DONE
 
@@ -136,6 +159,8 @@ class Scheduler:
                 return Phase.STOPPED
             case Ending.ELSEWHERE:
                 return Phase.ELSEWHERE
+            case Ending.BLOCKED:
+                return Phase.BLOCKED
             case Ending.FAILED:
                 return self._after_failure(job, outcome.error)
 

@@ -17,7 +17,7 @@ import socket
 import sys
 import time
 import traceback
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from enum import IntEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
@@ -34,6 +34,7 @@ from rrmctl.store.writer import CurveWriter
 
 if TYPE_CHECKING:
     from rrm.training.config import RunConfig
+    from rrm.training.demos import DemosConfig
     from rrm.training.jobs import Monitor
     from rrm.types import EvalRow
 
@@ -55,10 +56,12 @@ class WorkerExit(IntEnum):
 class Trainer(Protocol):
     """What the worker needs of `rrm.training.jobs`."""
 
-    def train(self, config: RunConfig, folder: Path, monitor: Monitor) -> bool:
-        """Train until done (True) or until the monitor says to stop (False)."""
+    def perform(
+        self, config: RunConfig | DemosConfig, folder: Path, monitor: Monitor, results: Mapping[str, Path]
+    ) -> bool:
+        """Do the job until done (True) or told to stop (False); `results`: folders of the runs it requires, by id."""
 
-    def fingerprint(self, config: RunConfig) -> dict[str, str]:
+    def fingerprint(self, config: RunConfig | DemosConfig) -> dict[str, str]:
         """Which environment this is."""
 
 
@@ -181,14 +184,15 @@ def _attempt(
     monitor = RunMonitor(folder, status, curve, pipe, stop)
     if not finished:
         assert trainer is not None
-        if stop.requested or not trainer.train(config, folder.path, monitor):
+        results = {run: Layout(given.results).run(run).path for run in config.requires}
+        if stop.requested or not trainer.perform(config, folder.path, monitor, results):
             monitor.close(State.INTERRUPTED)
             return WorkerExit.STOPPED
     monitor.close(State.DONE)
     return WorkerExit.DONE
 
 
-def _finished(folder: RunFolder, curve: CurveWriter, config: RunConfig) -> bool:
+def _finished(folder: RunFolder, curve: CurveWriter, config: RunConfig | DemosConfig) -> bool:
     """True for a run whose worker died between its end and saying so: the last row and the networks are there."""
     if curve.last_step != config.steps or not folder.model.exists():
         return False

@@ -8,6 +8,8 @@ runs/<id>/log.txt             everything the worker printed
 runs/<id>/lock                held by the worker while it owns the run
 runs/<id>/checkpoint/         the trainer's own, gone when the run is done
 runs/<id>/model.safetensors   the final networks
+runs/<id>/demos.safetensors   the demonstrations, of a run that collects them
+runs/<id>/gradients.parquet   norms of gradients, of a run that fine-tunes an imitation reward
 sweeps/<experiment>/<variant>.json   what `run` was asked for
 aggregates/<experiment>.parquet      interquartile mean curves
 
@@ -82,9 +84,19 @@ class RunFolder:
         """Written when training is over."""
         return self.path / "model.safetensors"
 
+    @property
+    def demos(self) -> Path:
+        """Written when they are all there."""
+        return self.path / "demos.safetensors"
+
+    @property
+    def gradients(self) -> Path:
+        """Replaced with the curve."""
+        return self.path / "gradients.parquet"
+
     def trained(self) -> tuple[Path, ...]:
         """What training leaves, to be removed when a run starts from nothing."""
-        return (self.curve, self.provenance, self.checkpoint, self.model)
+        return (self.curve, self.provenance, self.checkpoint, self.model, self.demos, self.gradients)
 
 
 @dataclass(frozen=True)

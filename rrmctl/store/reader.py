@@ -8,7 +8,7 @@ import os
 from collections.abc import Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 from rrmctl.errors import UserError
 from rrmctl.store import shape
@@ -38,9 +38,48 @@ def run_status(folder: RunFolder) -> Status:
     return status
 
 
-def statuses(layout: Layout, jobs: Iterable[JobRecord]) -> dict[str, Status]:
-    """Status of every run named by `jobs`, by id. Ten thousand take well under a second."""
-    return {run: run_status(layout.run(run)) for run in dict.fromkeys(job.id for job in jobs)}
+class Requiring(Protocol):
+    """A planned or recorded job."""
+
+    @property
+    def id(self) -> str:
+        """Of its run."""
+
+    @property
+    def requires(self) -> tuple[str, ...]:
+        """Ids of the runs that must be done before it."""
+
+
+def statuses(layout: Layout, jobs: Iterable[Requiring]) -> dict[str, Status]:
+    """Status of every run named by `jobs`, by id. Ten thousand take well under a second.
+
+    A run that is not done while one that it needs, and that is named as well, has failed is blocked, for its reason.
+    """
+    requires = {job.id: job.requires for job in jobs}
+    found = {run: run_status(layout.run(run)) for run in requires}
+
+    def look(run: str) -> Status:
+        status = found[run]
+        if status.state in _WAITING:
+            causes = ((each, look(each)) for each in requires[run] if each in found)
+            for each, cause in causes:
+                if cause.state in (State.FAILED, State.BLOCKED):
+                    found[run] = dataclasses.replace(status, state=State.BLOCKED, error=blocked_by(each, cause.error))
+                    break
+        return found[run]
+
+    return {run: look(run) for run in requires}
+
+
+_WAITING = (State.QUEUED, State.INTERRUPTED)
+
+
+def blocked_by(run: str, error: RunError | None) -> RunError:
+    """What keeps a run from starting: the failure of another, which it needs."""
+    if error is not None and error.kind is ErrorKind.BLOCKED:
+        return error  # the first cause says it all
+    reason = f"run {run}, which it needs, failed: {error or 'no reason was recorded'}"
+    return RunError(kind=ErrorKind.BLOCKED, type="Blocked", message=reason)
 
 
 def read_config(folder: RunFolder) -> dict[str, Any]:
@@ -152,7 +191,7 @@ def planned(results: str | Path = "results", experiment: str | None = None) -> p
 
     layout = open_results(results)
     sweeps = find_sweeps(layout, experiment) if experiment is not None else read_sweeps(layout)
-    states = statuses(layout, (job for sweep in sweeps for job in sweep.jobs))
+    states = statuses(layout, (job for sweep in sweeps for job in sweep.everything))
     rows = [_planned_row(sweep, job, states[job.id]) for sweep in sweeps for job in sweep.jobs]
     return pd.DataFrame(rows, columns=list(PLANNED))
 

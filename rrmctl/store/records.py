@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import os
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
 from pathlib import Path
@@ -33,6 +33,7 @@ class State(StrEnum):
     FAILED = "failed"  #: its own fault; see the error
     DONE = "done"
     UNREADABLE = "unreadable"  #: its status file is damaged
+    BLOCKED = "blocked"  #: a run that it needs has failed; never written, see `rrmctl.store.reader.statuses`
 
 
 class ErrorKind(StrEnum):
@@ -43,6 +44,7 @@ class ErrorKind(StrEnum):
     KILLED = "killed"  #: ended by a signal
     HUNG = "hung"  #: gave no sign of life and was ended
     STORAGE = "storage"  #: the results folder took no write
+    BLOCKED = "blocked"  #: a run that it needs has failed
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,8 +56,9 @@ class RunError:
     message: str
 
     def __str__(self) -> str:
-        # A place that takes no write is named by the message; the class of the exception says no more.
-        return self.message if self.kind is ErrorKind.STORAGE else f"{self.type}: {self.message}"
+        # A place that takes no write, or a run that failed, is named by the message; the class says no more.
+        named = self.kind in (ErrorKind.STORAGE, ErrorKind.BLOCKED)
+        return self.message if named else f"{self.type}: {self.message}"
 
     @classmethod
     def from_json(cls, value: Mapping[str, Any]) -> Self:
@@ -187,6 +190,7 @@ class JobRecord:
     feedback: str
     seed: int
     steps: int
+    requires: tuple[str, ...] = ()  #: ids of the runs that must be done before it
 
     @property
     def label(self) -> str:
@@ -209,10 +213,18 @@ class SweepRecord:
     profile: str
     overrides: dict[str, Any] = field(default_factory=dict)
     jobs: tuple[JobRecord, ...] = ()
+    needed: tuple[JobRecord, ...] = ()  #: runs that jobs need; nothing reports them, and some may be jobs as well
 
-    def with_jobs(self, jobs: Iterable[JobRecord]) -> SweepRecord:
-        """The union, in order of first appearance."""
-        return dataclasses.replace(self, jobs=tuple(dict.fromkeys((*self.jobs, *jobs))))
+    @property
+    def everything(self) -> tuple[JobRecord, ...]:
+        """Every run, those that are only needed first; one that several rows share is there for each of them."""
+        asked = {job.id for job in self.jobs}
+        return (*(job for job in self.needed if job.id not in asked), *self.jobs)
+
+    def union(self, other: SweepRecord) -> SweepRecord:
+        """With the jobs of another record of the same variant, in order of first appearance."""
+        jobs, needed = (dict.fromkeys(both) for both in ((*self.jobs, *other.jobs), (*self.needed, *other.needed)))
+        return dataclasses.replace(self, jobs=tuple(jobs), needed=tuple(needed))
 
     def to_json(self) -> dict[str, Any]:
         """A JSON object; `from_json` is the inverse."""
@@ -229,8 +241,8 @@ class SweepRecord:
         _check_version(content.pop("schema_version", None), path)
         shape.check(content, _SWEEP, path, hint)
         try:
-            jobs = tuple(_job(job, number, path) for number, job in enumerate(content.pop("jobs")))
-            return cls(**content, jobs=jobs)
+            jobs, needed = (_jobs(content.pop(name, []), name, path) for name in ("jobs", "needed"))
+            return cls(**content, jobs=jobs, needed=needed)
         except TypeError as problem:  # a field nobody knows
             raise DamagedError(f"{path} is damaged: {problem}", hint) from problem
 
@@ -246,12 +258,22 @@ _JOB = dict.fromkeys(("id", "cell", "task", "method", "teacher", "feedback"), sh
 )
 
 
-def _job(value: Any, number: int, path: Path) -> JobRecord:
-    where, hint = f"jobs[{number}]", _sweep_hint(path)
+def _jobs(values: Any, name: str, path: Path) -> tuple[JobRecord, ...]:
+    shape.check({name: values}, {name: shape.LIST}, path, _sweep_hint(path))
+    return tuple(_job(value, f"{name}[{number}]", path) for number, value in enumerate(values))
+
+
+def _job(value: Any, where: str, path: Path) -> JobRecord:
+    hint = _sweep_hint(path)
     shape.check({where: value}, {where: shape.OBJECT}, path, hint)
     shape.check(value, _JOB, path, hint, f"{where}.")
     shape.check_run_id(value["id"], path, hint, f"{where}.id")
-    return JobRecord(**value)
+    requires = value.get("requires", [])
+    shape.check({f"{where}.requires": requires}, {f"{where}.requires": shape.LIST}, path, hint)
+    for run in requires:
+        shape.check({f"{where}.requires": run}, {f"{where}.requires": shape.TEXT}, path, hint)
+        shape.check_run_id(run, path, hint, f"{where}.requires")
+    return JobRecord(**{**value, "requires": tuple(requires)})
 
 
 def _sweep_hint(path: Path) -> str:
@@ -306,7 +328,7 @@ def record_sweep(layout: Layout, asked: SweepRecord) -> SweepRecord:
     with locked(layout.sweep_lock(asked.experiment)):
         remove_leftovers(path.parent)
         known = _read_sweep(path)
-        union = (known or asked).with_jobs(asked.jobs)
+        union = (known or asked).union(asked)
         if union != known:
             write_json(path, union.to_json())
     return union

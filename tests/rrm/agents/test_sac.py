@@ -259,3 +259,26 @@ def test_solves_a_bandit() -> None:
         sac.update(Batch(obs, act, torch.zeros(64), reward, obs, torch.ones(64)))
     for x in (-0.9, -0.3, 0.4, 0.8):
         assert sac.act(np.array([x, 0.1, -0.1], np.float32), explore=False)[0] == pytest.approx(0.8 * x, abs=0.12)
+
+
+def test_the_density_of_any_action() -> None:
+    """Log density of given actions, by the change of variables in double precision; samples' own to rounding."""
+    agent = Sac(SMALL, 3, 2, Streams(0))
+    batch = make_batch(64, 3, 2, 1)
+    head = agent.actor(batch.obs)[0].detach().double()
+    mean, log_std = head[:2], -5 + 3.5 * (torch.tanh(head[2:]) + 1)
+    act = batch.act.t().double()
+    normal = torch.distributions.Normal(mean, log_std.exp()).log_prob(torch.atanh(act))
+    expected = (normal - torch.log1p(-act.square())).sum(dim=0)
+    torch.testing.assert_close(agent.log_prob(batch.obs, batch.act).double(), expected, rtol=1e-4, atol=1e-3)
+
+
+@pytest.mark.parametrize("bound", [1.0, -1.0])
+def test_the_density_of_a_saturated_action_is_finite(bound: float) -> None:
+    """Experts, and a float32 tanh, act at the very bound, where atanh is infinite."""
+    agent = Sac(SMALL, 3, 2, Streams(0))
+    obs = make_batch(8, 3, 2, 1).obs
+    density = agent.log_prob(obs, torch.full((8, 2), bound))
+    assert torch.isfinite(density).all()
+    near = agent.log_prob(obs, torch.full((8, 2), bound * (1 - 1e-6)))
+    torch.testing.assert_close(density, near)

@@ -37,7 +37,7 @@ OTHER = {int: lambda v: v + 1, float: lambda v: v * 0.5 if v else 0.25, str: Non
 SPECIAL = {
     "agent": {}, "evaluation": {"success": "last"}, "teacher": {"beta": 1.0},
     "reward": {"learner": "true", "prior": "proxy", "normaliser": None, "surf": None, "mrn": None,
-               "bound": None, "penalty": None},
+               "bound": None, "penalty": None, "prior_run": None, "squash": None},
     "feedback": {"sampler": "uniform", "schedule": "decay"}, "exploration": {"neighbours": None},
 }  # fmt: skip
 NOT_NUMBERS = {"options", "prior_digest", "learner_digest", "deterministic"}

@@ -75,7 +75,7 @@ class Trainer:
     def fingerprint(self, config: RunConfig) -> dict[str, str]:
         return {"toy-car": os.environ.get("STANDIN_WORLD", "1")}
 
-    def train(self, config: RunConfig, folder: Path, monitor: worker.RunMonitor) -> bool:
+    def perform(self, config: RunConfig, folder: Path, monitor: worker.RunMonitor, results: dict[str, Path]) -> bool:
         behaviours = json.loads(os.environ.get("STANDIN", "{}"))
         behaviour = behaviours.get(str(config.seed), behaviours.get("other", "train"))
         checkpoint = folder / "checkpoint" / "step"

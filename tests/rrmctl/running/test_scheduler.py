@@ -151,3 +151,46 @@ def test_whatever_happens_every_job_ends_in_one_phase(data: st.DataObject, jobs:
     incomplete = counts[Phase.STOPPED] + counts[Phase.WAITING] + counts[Phase.ELSEWHERE]
     expected = Exit.INCOMPLETE if incomplete else Exit.FAILED if counts[Phase.FAILED] else Exit.DONE
     assert expected is scheduler.exit_code()
+
+
+def test_a_job_waits_for_those_it_needs() -> None:
+    """Others go first meanwhile; two that share a need start together once it is done."""
+    scheduler = Scheduler("cdab", slots=2, requires={"c": "a", "d": "a", "a": "x"})
+    assert start_all(scheduler) == ["a", "b"]
+    scheduler.end("b", DONE)
+    assert start_all(scheduler) == []
+    assert not scheduler.finished
+    scheduler.end("a", DONE)
+    assert start_all(scheduler) == ["c", "d"]
+
+
+def test_what_needs_a_failed_job_is_blocked() -> None:
+    """Down the whole chain, once each; the rest goes on, and the exit code says that something failed."""
+    scheduler = Scheduler("abcde", slots=1, requires={"b": "a", "c": "ab", "d": "c"})
+    assert start_all(scheduler) == ["a"]
+    assert scheduler.end("a", failed(ErrorKind.REFUSED)) is Phase.FAILED
+    assert sorted(scheduler.block("a")) == ["b", "c", "d"]
+    assert start_all(scheduler) == ["e"]
+    scheduler.end("e", DONE)
+    assert scheduler.finished
+    assert scheduler.counts() == {Phase.FAILED: 1, Phase.BLOCKED: 3, Phase.DONE: 1}
+    assert scheduler.exit_code() is Exit.FAILED
+
+
+def test_what_needs_a_stopped_job_is_left_for_later() -> None:
+    """It is not waited for, and the command is not complete."""
+    scheduler = Scheduler("ab", slots=1, requires={"b": "a"})
+    (job,) = start_all(scheduler)
+    scheduler.end(job, STOPPED)
+    assert scheduler.finished
+    assert scheduler.exit_code() is Exit.INCOMPLETE
+
+
+def test_a_need_that_is_met_elsewhere_is_waited_for() -> None:
+    """Another process owns it; when it is done there, its dependent starts here."""
+    scheduler = Scheduler("ab", slots=1, requires={"b": "a"})
+    scheduler.end("a", ELSEWHERE)
+    assert start_all(scheduler) == []
+    assert not scheduler.finished
+    scheduler.end("a", DONE)
+    assert start_all(scheduler) == ["b"]

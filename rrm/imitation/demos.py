@@ -1,0 +1,142 @@
+"""Demonstrations: transitions of whole episodes and where they come from, in one safetensors file.
+
+Tensors: `obs` and `next_obs` float32 [n, O], `act` float32 [n, A], `terminated` uint8 [n], all episodes one behind the
+other; `lengths` int64 [E], `returns` float64 [E] (true, undiscounted), `successes` float64 [E] (NaN where the task has
+no such notion). The header has one entry, `demonstrations`: a JSON object whose `format` names this layout and whose
+`provenance` is an object with `task`, `source`, and whatever else is known. One entry, because safetensors writes
+several in any order, and equal demonstrations should be equal files.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Self
+
+import numpy as np
+import numpy.typing as npt
+import safetensors
+import safetensors.numpy
+
+from rrm.errors import DemosError
+from rrm.files import write_atomically
+
+if TYPE_CHECKING:
+    from rrm.envs.tasks import Task
+    from rrm.interfaces import Floats
+
+FORMAT = "rrm-demonstrations-1"
+_ENTRY = "demonstrations"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Demonstrations:
+    """Episodes of an expert."""
+
+    obs: Floats  #: float32 [n, O]
+    act: Floats  #: float32 [n, A], in [-1, 1]
+    next_obs: Floats  #: float32 [n, O]
+    terminated: npt.NDArray[np.uint8]  #: [n]; 1 where the task ended there, which a time limit is not
+    lengths: npt.NDArray[np.int64]  #: [E], steps of the episodes
+    returns: npt.NDArray[np.float64]  #: [E], of the true reward
+    successes: npt.NDArray[np.float64]  #: [E], 0 or 1; NaN where the task has no such notion
+    provenance: Mapping[str, Any]  #: JSON: task, source, ...
+
+    def __len__(self) -> int:
+        return len(self.obs)
+
+    @property
+    def success(self) -> float:
+        """Share of the episodes with success; NaN where the task has no such notion."""
+        return float(self.successes.mean())
+
+    def summary(self) -> dict[str, Any]:
+        """For people and for what is made of them: provenance, sizes, and how good they are."""
+        known = None if np.isnan(self.success) else self.success
+        return {
+            **self.provenance, "episodes": len(self.lengths), "transitions": len(self),
+            "success": known, "true_return": float(self.returns.mean()),
+        }  # fmt: skip
+
+    def save(self, path: Path) -> None:
+        """Write the file, whole or not at all. Raises OSError where there is no room or permission."""
+        told = json.dumps({"format": FORMAT, "provenance": dict(self.provenance)}, sort_keys=True)
+        arrays = {name: np.ascontiguousarray(getattr(self, name)) for name in _KINDS}
+        write_atomically(path, safetensors.numpy.save(arrays, {_ENTRY: told}))
+
+    @classmethod
+    def load(cls, path: Path) -> Self:
+        """The demonstrations in a file.
+
+        Raises:
+            DemosError: there is none, it is not one of demonstrations, or its tensors do not fit together.
+        """
+        try:
+            with safetensors.safe_open(path, framework="numpy") as file:
+                header = file.metadata() or {}
+                arrays = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118  (it is no mapping)
+        except (OSError, safetensors.SafetensorError) as error:
+            raise DemosError(f"{path} cannot be read as demonstrations: {error}") from error
+        provenance = _provenance(header.get(_ENTRY, ""))
+        if provenance is None:
+            raise DemosError(f"{path} is not a file of demonstrations: its header does not say {FORMAT}")
+        missing = [name for name in _KINDS if name not in arrays]
+        if missing:
+            raise DemosError(f"{path} lacks {', '.join(missing)}")
+        found = cls(**{name: arrays[name] for name in _KINDS}, provenance=provenance)
+        problem = found._problem()
+        if problem:
+            raise DemosError(f"{path}: {problem}")
+        return found
+
+    def _problem(self) -> str | None:
+        count, episodes = len(self), len(self.lengths)
+        for name, (kind, axes) in _KINDS.items():
+            array = getattr(self, name)
+            if array.dtype != kind or array.ndim != axes:
+                return f"{name} is {array.dtype} with {array.ndim} axes, not {np.dtype(kind)} with {axes}"
+            if len(array) != (count if name in _PER_STEP else episodes):
+                return f"{name} has {len(array)} entries; there are {count} transitions in {episodes} episodes"
+        if not episodes or self.lengths.min() < 1 or self.lengths.sum() != count:
+            return f"the episodes' lengths add up to {self.lengths.sum()}, there are {count} transitions"
+        if self.obs.shape != self.next_obs.shape:
+            return f"obs has shape {self.obs.shape}, next_obs {self.next_obs.shape}"
+        if not all(np.isfinite(array).all() for array in (self.obs, self.act, self.next_obs, self.returns)):
+            return "not all of it is finite"
+        return "an action lies outside [-1, 1]" if np.abs(self.act).max() > 1 else None
+
+    def check(self, task: Task, where: str) -> None:
+        """Refuse demonstrations of another task.
+
+        Raises:
+            DemosError: naming `where` they come from.
+        """
+        told = self.provenance.get("task", task.name)
+        if told != task.name:
+            raise DemosError(f"{where} shows {told}, not {task.name}")
+        shapes = (self.obs.shape[1], self.act.shape[1])
+        if shapes != (task.obs_dim, task.act_dim):
+            raise DemosError(
+                f"{where}: observations of {shapes[0]} and actions of {shapes[1]} numbers; "
+                f"{task.name} has {task.obs_dim} and {task.act_dim}"
+            )
+
+
+def _provenance(text: str) -> dict[str, Any] | None:
+    try:
+        told = json.loads(text)
+    except ValueError:
+        return None
+    if not isinstance(told, dict) or told.get("format") != FORMAT or not isinstance(told.get("provenance"), dict):
+        return None
+    provenance: dict[str, Any] = told["provenance"]
+    return provenance
+
+
+_KINDS: dict[str, tuple[type[np.generic], int]] = {
+    "obs": (np.float32, 2), "act": (np.float32, 2), "next_obs": (np.float32, 2), "terminated": (np.uint8, 1),
+    "lengths": (np.int64, 1), "returns": (np.float64, 1), "successes": (np.float64, 1),
+}  # fmt: skip
+_PER_STEP = ("obs", "act", "next_obs", "terminated")

@@ -1,0 +1,119 @@
+"""The discriminator of adversarial inverse reinforcement learning (AIRL, Fu et al. 2018), and its gradient steps.
+
+    f(s, a, s') = g(s, a) + gamma h(s') - h(s)        logit D = f - log pi(a | s)
+
+Cross-entropy with experts as 1 and the policy as 0. h takes up what only shapes the reward, g is what is kept. A time
+limit does not end the bootstrap. The gradient is written out: its only path is through the outputs of g and h.
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+from torch.nn.functional import binary_cross_entropy_with_logits
+
+from rrm.config import ImitationConfig
+from rrm.errors import NumericalError
+from rrm.imitation.networks import RewardNet
+from rrm.nets.adam import FlatAdam
+from rrm.nets.mlp import StackedMLP
+from rrm.precision import Precision
+from rrm.types import Batch, State
+
+
+class Discriminator:
+    """Reward g and shaping h with one optimiser step for both.
+
+    Args:
+        config: networks, step size, and what g is trained on (`pretrain`).
+        obs_dim, act_dim: of the task.
+        discount: gamma.
+        generator: where the weights are drawn from.
+        precision: of products between hidden layers.
+    """
+
+    def __init__(
+        self,
+        config: ImitationConfig,
+        obs_dim: int,
+        act_dim: int,
+        discount: float,
+        *,
+        generator: torch.Generator,
+        precision: Precision = "float32",
+    ) -> None:
+        self.config = config
+        self.discount = discount
+        self.g = RewardNet(config, obs_dim, act_dim, generator, precision)
+        self.h = StackedMLP(
+            1, obs_dim, config.hidden, config.layers, 1, init="torch", generator=generator, precision=precision
+        )
+        self._adams = tuple(FlatAdam(net.flat, net.flat_grad, config.lr) for net in (self.g.net, self.h))
+
+    @torch.no_grad()
+    def f(self, batch: Batch) -> Tensor:
+        """The shaped reward of transitions, float32 [B]."""
+        h, h_next = self.h(torch.cat((batch.obs, batch.next_obs)))[0, 0].chunk(2)
+        return self.g.predict(batch.obs, batch.act) + self.discount * batch.continues * h_next - h
+
+    @torch.no_grad()
+    def step(self, expert: Batch, policy: Batch, log_prob: Tensor) -> float:
+        """One gradient step on as many expert transitions as policy transitions.
+
+        Args:
+            expert, policy: [B] each.
+            log_prob: of the expert's actions and then the policy's, under the policy as it is, nats [2 B].
+
+        Returns:
+            The Euclidean norm of the gradient in g's weights.
+
+        Raises:
+            NumericalError: the loss is not finite.
+        """
+        both = Batch(*(torch.cat(pair) for pair in zip(expert, policy, strict=True)))
+        is_expert = torch.zeros(len(both.obs)).index_fill_(0, torch.arange(len(expert.obs)), 1.0)
+        loss = self._step_airl(both, is_expert, log_prob) if self.config.pretrain == "airl" else (
+            self._step_mse(both, is_expert)
+        )  # fmt: skip
+        if not torch.isfinite(loss):
+            raise NumericalError(f"the loss of the discriminator is {float(loss)}")
+        return float(self.g.net.flat_grad.norm())
+
+    def _step_airl(self, both: Batch, is_expert: Tensor, log_prob: Tensor) -> Tensor:
+        g, h = self.g.net, self.h
+        tapes = g.take_tape(len(both.obs)), h.take_tape(2 * len(both.obs))
+        reward = self.g.headed(g.forward(torch.cat((both.obs, both.act), dim=1), tapes[0])[0, 0])
+        value, value_next = h.forward(torch.cat((both.obs, both.next_obs)), tapes[1])[0, 0].chunk(2)
+        bootstrap = self.discount * both.continues
+        logit = reward + bootstrap * value_next - value - log_prob
+        delta = (torch.sigmoid(logit) - is_expert) / len(logit)
+        g.backward_params(self.g.backward_head(delta, reward).view(1, 1, -1), tapes[0])
+        h.backward_params(torch.cat((-delta, bootstrap * delta)).view(1, 1, -1), tapes[1])
+        for adam, net, tape in zip(self._adams, (g, h), tapes, strict=True):
+            adam.step()
+            net.give_back(tape)
+        return binary_cross_entropy_with_logits(logit, is_expert)
+
+    def _step_mse(self, both: Batch, is_expert: Tensor) -> Tensor:
+        """G alone, pulled to 1 on expert transitions and to 0 on the policy's (the paper's figure on fine-tuning)."""
+        g = self.g.net
+        tape = g.take_tape(len(both.obs))
+        reward = self.g.headed(g.forward(torch.cat((both.obs, both.act), dim=1), tape)[0, 0])
+        error = reward - is_expert
+        g.backward_params(self.g.backward_head(error * (2 / len(error)), reward).view(1, 1, -1), tape)
+        self._adams[0].step()
+        g.give_back(tape)
+        return error.square().mean()
+
+    def state_dict(self) -> State:
+        return {
+            "g": self.g.net.flat.clone(),
+            "h": self.h.flat.clone(),
+            "optimisers": [adam.state_dict() for adam in self._adams],
+        }
+
+    def load_state_dict(self, state: State) -> None:
+        self.g.net.flat.copy_(state["g"])
+        self.h.flat.copy_(state["h"])
+        for adam, saved in zip(self._adams, state["optimisers"], strict=True):
+            adam.load_state_dict(saved)

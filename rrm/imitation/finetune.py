@@ -1,0 +1,110 @@
+"""The baseline that the paper argues against: the imitation reward itself, trained further with preferences.
+
+The same network g, a fresh Adam, no residual and no ensemble (appendix "Why fine-tuning a reward model fails"). The
+norm of every gradient is recorded, so that what happens when the loss changes can be looked at.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from rrm.files import write_atomically
+from rrm.imitation.networks import RewardNet
+from rrm.rewards.pebble import Pebble
+from rrm.types import Segments, State
+
+if TYPE_CHECKING:
+    from rrm.config import RewardConfig
+
+#: Names of losses, in the order of their codes in the log.
+LOSSES = ("airl", "mse", "preferences")
+
+
+class GradientLog:
+    """Norm of the gradient in g's weights at every gradient step: environment step, loss, norm."""
+
+    def __init__(self) -> None:
+        self._steps: list[int] = []
+        self._losses: list[int] = []
+        self._norms: list[float] = []
+
+    def add(self, step: int, loss: str, norm: float) -> None:
+        """One more entry; `loss` is one of `LOSSES`."""
+        self._steps.append(step)
+        self._losses.append(LOSSES.index(loss))
+        self._norms.append(norm)
+
+    def write(self, path: Path) -> None:
+        """Replace the parquet file at `path`: columns `step`, `loss` (text) and `gradient_norm`."""
+        import pyarrow as pa
+        import pyarrow.parquet as pq
+
+        names = pa.DictionaryArray.from_arrays(pa.array(self._losses, pa.int8()), pa.array(LOSSES))
+        columns = {
+            "step": pa.array(self._steps, pa.int64()),
+            "loss": names,
+            "gradient_norm": pa.array(self._norms, pa.float64()),
+        }
+        sink = pa.BufferOutputStream()
+        pq.write_table(pa.table(columns), sink)
+        write_atomically(path, sink.getvalue().to_pybytes())
+
+    def state_dict(self) -> State:
+        return {
+            "steps": np.array(self._steps, np.int64),
+            "losses": np.array(self._losses, np.int8),
+            "norms": np.array(self._norms, np.float64),
+        }
+
+    def load_state_dict(self, state: State) -> None:
+        self._steps = state["steps"].tolist()
+        self._losses = state["losses"].tolist()
+        self._norms = state["norms"].tolist()
+
+
+class ImitatedReward:
+    """g as an `rrm.interfaces.RewardFunction`: one member, no prior."""
+
+    def __init__(self, g: RewardNet) -> None:
+        self._g = g
+
+    def members(self, segments: Segments) -> Tensor:
+        rewards = self._g(torch.cat([segments.obs, segments.act], dim=-1))
+        return rewards if rewards.ndim == 3 else rewards.unsqueeze(0)
+
+    def predict(self, obs: Tensor, act: Tensor, prior: Tensor) -> Tensor:  # noqa: ARG002 (the seam of residuals)
+        return self._g.predict(obs, act)
+
+    def parameters(self) -> list[Tensor]:
+        return self._g.net.parameters()
+
+    def penalty(self, rewards: Tensor, segments: Segments) -> Tensor:  # noqa: ARG002 (the seam of residuals)
+        return rewards.new_zeros(())
+
+    def state_dict(self) -> State:
+        return {"weights": self._g.net.flat.clone()}
+
+    def load_state_dict(self, state: State) -> None:
+        self._g.net.flat.copy_(state["weights"])
+
+
+class Finetune(Pebble):
+    """PEBBLE's sessions on g."""
+
+    def __init__(
+        self, reward: ImitatedReward, config: RewardConfig, rng: np.random.Generator, log: Callable[[str, float], None]
+    ) -> None:
+        """Args: log: told of every gradient step: the loss' name, and the norm of the gradient."""
+        super().__init__(reward, config.model_copy(update={"members": 1}), rng)
+        self._log = log
+
+    def _step(self) -> None:
+        gradients = [p.grad for p in self.reward.parameters() if p.grad is not None]
+        self._log("preferences", float(torch.linalg.vector_norm(torch.cat([g.flatten() for g in gradients]))))
+        super()._step()

@@ -1,0 +1,77 @@
+"""The prior that demonstrations make: the reward g(s, a) of an AIRL run, frozen (appendix "Imitation rewards").
+
+Of the state before the step, as all priors of the paper. Its value has no bound; `squash: tanh` gives it one. No torch
+is imported before a prior is loaded.
+"""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+
+from rrm.errors import CheckpointError, MissingResultError, PriorError
+
+if TYPE_CHECKING:
+    from rrm.envs.tasks import Task
+    from rrm.priors.step import PriorStep
+    from rrm.types import State
+
+
+class ImitationPrior:
+    """g as it was kept by the run that trained it.
+
+    Args:
+        path: the run's networks.
+        task: it must have been trained on this one.
+        squash: `tanh` bounds the prior to (-1, 1).
+
+    Raises:
+        MissingResultError: the file is missing or damaged, or no AIRL run wrote it.
+        PriorError: it was trained on another task.
+    """
+
+    needs: tuple[tuple[str, ...], ...] = ((),)  #: of the features of the task
+
+    def __init__(self, path: Path, task: Task, squash: Literal["none", "tanh"] = "none") -> None:
+        import torch
+
+        from rrm.config import ImitationConfig
+        from rrm.imitation.networks import RewardNet
+
+        kept = _read(path)
+        if kept["task"] != task.name:
+            raise PriorError(f"{path} was trained on {kept['task']}, not on {task.name}")
+        self._g = RewardNet(ImitationConfig(**kept["shape"]), kept["obs_dim"], kept["act_dim"], None)
+        self._g.net.flat.copy_(kept["g"])
+        self._row = torch.empty(1, kept["obs_dim"] + kept["act_dim"])
+        self._squash = squash == "tanh"
+
+    def __call__(self, step: PriorStep) -> float:
+        """G of the state before the step and the action."""
+        import torch
+
+        row = np.concatenate((step.obs, step.act))
+        self._row.copy_(torch.from_numpy(row))
+        with torch.no_grad():
+            raw = float(self._g(self._row))
+        return math.tanh(raw) if self._squash else raw
+
+
+def _read(path: Path) -> State:
+    from rrm.checkpoint import decode
+
+    try:
+        kept: State | None = decode(path.read_bytes()).get("imitation")
+    except OSError as error:
+        raise MissingResultError(
+            f"{path}, which holds the imitation prior, cannot be read: {error.strerror}; bring it back, or remove its "
+            "folder and run the experiment again"
+        ) from error
+    except CheckpointError as error:
+        raise MissingResultError(f"{path}, which holds the imitation prior, is damaged: {error}") from error
+    if kept is None:
+        raise MissingResultError(f"{path} holds no imitation prior: another kind of run wrote it")
+    return kept

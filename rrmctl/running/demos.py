@@ -1,0 +1,64 @@
+"""Demonstrations for people: collected from a finished run or from a scripted policy, and looked at."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from rrmctl.errors import UserError
+from rrmctl.running.runfile import load_config
+from rrmctl.store.reader import run_status
+from rrmctl.store.records import State
+
+if TYPE_CHECKING:
+    from rrm.imitation.demos import Demonstrations
+    from rrmctl.store.layout import RunFolder
+
+
+def of_run(folder: RunFolder, episodes: int, seed: int, least_success: float) -> Demonstrations:
+    """Episodes of a finished run's deterministic policy.
+
+    Raises:
+        UserError: the run is not done, or trains no policy.
+        RrmError: its networks are not there, or its policy succeeds too rarely.
+    """
+    from rrm.training.demonstrate import expert_policy
+
+    state = run_status(folder).state
+    if state is not State.DONE:
+        raise UserError(f"run {folder.id} is {state}", "demonstrations come from a run that is done")
+    config = load_config(folder)
+    if config.kind != "train":
+        raise UserError(f"run {folder.id} trains no policy: it is of kind {config.kind!r}", "name an oracle's run")
+    source = {"source": "expert", "expert": config.identity, "expert_steps": config.steps, "method": config.method}
+    policy = expert_policy(config, folder.model)
+    return _played(
+        config.task, policy, episodes, seed=seed, least_success=least_success, source=source, horizon=config.horizon
+    )
+
+
+def of_script(task: str, episodes: int, seed: int, least_success: float) -> Demonstrations:
+    """Episodes of the policy that Meta-World ships for a task.
+
+    Raises:
+        RrmError: there is no such task or policy, or it succeeds too rarely.
+    """
+    from rrm.envs.scripted import scripted_policy
+
+    source = {"source": "scripted"}
+    return _played(task, scripted_policy(task), episodes, seed=seed, least_success=least_success, source=source)
+
+
+def read(path: Path) -> dict[str, Any]:
+    """What is known of the demonstrations in a file. Raises `RrmError` where it holds none."""
+    from rrm.imitation.demos import Demonstrations
+
+    return Demonstrations.load(path).summary()
+
+
+def _played(task: str, policy: Any, episodes: int, **options: Any) -> Demonstrations:
+    from rrm.training.demonstrate import demonstrate
+
+    demos = demonstrate(task, policy, episodes, **options)
+    assert demos is not None  # nobody asked it to stop
+    return demos

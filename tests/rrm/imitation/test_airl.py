@@ -1,0 +1,118 @@
+"""Discriminator and agent together: what is rewarded, what is kept."""
+
+import numpy as np
+import pytest
+import torch
+
+from rrm.config import ImitationConfig
+from rrm.imitation.airl import Airl
+from rrm.seeding import Streams
+from rrm.types import Batch
+from tests.rrm.imitation.test_demos import demos
+
+CONFIG = ImitationConfig(hidden=8, layers=1, updates=3, minibatch=4, lr=1e-2)
+
+
+def make(**changes):
+    return Airl(CONFIG.model_copy(update=changes), demos(), 0.9, Streams(0))
+
+
+def batch(seed=0, count=32):
+    generator = torch.Generator().manual_seed(seed)
+    obs, following = (torch.randn(count, 15, generator=generator) for _ in range(2))
+    act = torch.rand(count, 2, generator=generator) * 2 - 1
+    return Batch(obs, act, torch.zeros(count), torch.full((count,), 7.0), following, torch.ones(count))
+
+
+class Uniform:
+    """A policy that is uniform in [-1, 1]^2, and notes what it is asked about."""
+
+    def __init__(self):
+        self.asked = []
+
+    def log_prob(self, obs, act):
+        self.asked.append((obs, act))
+        return torch.full((len(obs),), -2 * np.log(2.0))
+
+
+def draw(count, stream):
+    return batch(int(torch.randint(1000, (1,), generator=stream)), count)
+
+
+def test_the_reward_is_the_discriminators_as_it_is_now():
+    """Over its running deviation, whatever reward is stored; after a round of training it is another."""
+    airl, steps = make(), batch()
+    raw = airl.discriminator.f(steps)
+    torch.testing.assert_close(airl.reward(steps), raw / raw.std())
+    airl.train(draw, Uniform())
+    assert (airl.discriminator.f(steps) != raw).all()
+    both = torch.cat((raw, airl.discriminator.f(steps)))
+    torch.testing.assert_close(airl.reward(steps), both[32:] / both.std())
+
+
+def test_looking_changes_nothing():
+    """The running deviation is that of what the agent was trained on."""
+    airl = make()
+    airl.reward(batch())
+    before = airl.state_dict()["scale"]
+    airl.look(batch(1))
+    assert airl.state_dict()["scale"] == before
+
+
+def test_the_policys_density_is_asked_for_the_experts_actions_too():
+    """As many of both, expert first, in every gradient step."""
+    airl, policy = make(), Uniform()
+    airl.train(draw, policy)
+    assert len(policy.asked) == 3
+    obs, act = policy.asked[0]
+    assert obs.shape == (8, 15)
+    assert act.shape == (8, 2)
+    assert set(obs[:4, 0].tolist()) <= {0.0, 1.0, 2.0, 3.0, 4.0}  # demonstrations count their steps
+    assert (act[:4] == 0).all()
+    assert (act[4:] != 0).all()
+
+
+def test_demonstrations_are_told_from_the_policy():
+    """After some rounds g is higher on what the expert does."""
+    airl = make(updates=200)
+    airl.train(draw, Uniform())
+    g = airl.discriminator.g
+    expert = demos()
+    high = g.predict(torch.from_numpy(expert.obs), torch.from_numpy(expert.act)).mean()
+    assert high > g.predict(batch().obs, batch().act).mean() + 1
+
+
+@pytest.mark.parametrize(
+    ("evaluations", "kept"),
+    [
+        ([(0.2, 5), (1.0, 1), (1.0, 0)], 30),
+        ([(0.2, 5), (1.0, 1), (0.9, 9)], 20),
+        ([(float("nan"), 5), (float("nan"), 7), (float("nan"), 6)], 20),
+    ],
+    ids=["last", "best", "return"],
+)
+def test_the_latest_of_the_best_evaluations_is_kept(evaluations, kept):
+    """By success, or by return where the task knows none; with step, range and demonstrations."""
+    airl, weights = make(), {}
+    for step, (success, true_return) in zip((10, 20, 30), evaluations, strict=True):
+        airl.train(draw, Uniform())
+        weights[step] = airl.discriminator.g.net.flat.clone()
+        airl.keep(step, success, true_return, batch())
+    prior = airl.kept()
+    assert prior["step"] == kept
+    assert torch.equal(prior["g"], weights[kept])
+    assert prior["demonstrations"]["source"] == "test"
+    assert prior["shape"] == {"hidden": 8, "layers": 1, "head": "linear"}
+    low, high = prior["range"]["policy"]
+    assert low < high
+
+
+def test_the_figures_variant_rewards_g_itself():
+    """Trained by mean squared error, there is no shaping and no policy in the reward."""
+    airl = make(pretrain="mse")
+    steps = batch()
+    g = airl.discriminator.g.predict(steps.obs, steps.act)
+    torch.testing.assert_close(airl.reward(steps), g / g.std())
+    h = airl.discriminator.h.flat.clone()
+    airl.train(draw, Uniform())
+    assert torch.equal(h, airl.discriminator.h.flat)
