@@ -250,7 +250,7 @@ def test_the_discriminator_sees_the_newest_transitions(imitating, results):
     def sample(count, generator, *, newest=None):
         if newest is not None:
             seen.append((trainer.step, newest))
-        return kept(count, generator, newest)
+        return kept(count, generator, newest=newest)
 
     trainer.experience.sample = sample
     for _ in range(260):
