@@ -1,4 +1,4 @@
-"""SURF and MRN, alone and under the residual model, from their manifests to what the store holds."""
+"""SURF and MRN, alone and under residual models, from their manifests to what the store holds."""
 
 from __future__ import annotations
 
@@ -28,9 +28,10 @@ def test_a_smoke_sweep(tmp_path: Path, name: str, tasks: str, figure: str) -> No
     assert result.exit_code == 0, result.output
     runs = planned(tmp_path, name)
     assert set(runs["state"]) == {"done"}
-    assert set(runs["method"]) == {"oracle", name, f"rrm-{name}-proxy"}
+    priors = ("proxy", "language", "imitation")
+    assert set(runs["method"]) == {"oracle", name, *(f"rrm-{name}-{prior}" for prior in priors)}
     last = load(tmp_path, name).query("step == 600").set_index(["task", "method"])
-    assert len(last) == 6
+    assert len(last) == 10
     for (_, method), row in last.iterrows():
         learns = method != "oracle"
         assert (row["labels"] > 0) == learns
