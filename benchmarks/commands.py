@@ -21,13 +21,14 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.lines import Line
+from rrmctl.cli.request import job_record
 from rrmctl.planning.manifest import load
 from rrmctl.planning.plan import Job, Plan, make_plan
 from rrmctl.running.runfile import config_content
 from rrmctl.store.atomic import try_lock, write_bytes
 from rrmctl.store.curve import encode
 from rrmctl.store.layout import Layout, RunFolder
-from rrmctl.store.records import JobRecord, State, Status, SweepRecord, record_config, record_sweep, write_status
+from rrmctl.store.records import State, Status, SweepRecord, record_config, record_sweep, write_status
 from rrmctl.store.schema import IDENTITY, MEASURED
 
 EXPERIMENTS = Path(__file__).parents[1] / "experiments"
@@ -65,13 +66,7 @@ def plan_of(experiment: str, seeds: int) -> Plan:
 
 def write_sweep(layout: Layout, plan: Plan, write: Callable[[int, Job, RunFolder], None]) -> None:
     """A sweep's record, and each of its runs as `write` has it. Threads, because every write waits for the disk."""
-    jobs = tuple(
-        JobRecord(
-            id=job.id, cell=job.config.cell, task=job.task, method=job.method, teacher=job.teacher,
-            feedback=job.feedback, seed=job.seed, steps=job.config.steps,
-        )
-        for job in plan.jobs
-    )  # fmt: skip
+    jobs = tuple(job_record(job) for job in plan.jobs)
     record = SweepRecord(
         experiment=plan.experiment, variant=plan.variant, profile=plan.profile, overrides=plan.overrides, jobs=jobs
     )

@@ -48,11 +48,15 @@ class EnsembleReward:
         act_dim: int,
         generator: torch.Generator,
         precision: Precision = "float32",
-        *,
-        linear: bool = False,
     ) -> None:
+        self._config = config
         inputs = obs_dim + act_dim + self.extra_inputs
-        self._ensemble = Ensemble(config, inputs, generator, precision, linear=linear)
+        self._ensemble = Ensemble(config, inputs, generator, precision, linear=self._linear)
+
+    @property
+    def _linear(self) -> bool:
+        """Whether nothing bounds what the networks say."""
+        return False
 
     def members(self, segments: Segments) -> Tensor:
         return self._ensemble(torch.cat([segments.obs, segments.act], dim=-1))

@@ -16,8 +16,6 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from rrm.config import RewardConfig
-from rrm.precision import Precision
 from rrm.rewards.ensemble import EnsembleReward
 from rrm.types import Segments
 
@@ -27,23 +25,15 @@ class ResidualReward(EnsembleReward):
 
     extra_inputs = 1  #: the prior's value
 
-    def __init__(
-        self,
-        config: RewardConfig,
-        obs_dim: int,
-        act_dim: int,
-        generator: torch.Generator,
-        precision: Precision = "float32",
-    ) -> None:
-        gaussian = config.bound == "gaussian"
-        super().__init__(config, obs_dim, act_dim, generator, precision, linear=gaussian)
-        self._penalty = config.penalty if gaussian else 0.0
+    @property
+    def _linear(self) -> bool:
+        return self._config.bound == "gaussian"
 
     def members(self, segments: Segments) -> Tensor:
         inputs = torch.cat([segments.obs, segments.act, segments.prior.unsqueeze(-1)], dim=-1)
         return segments.prior + self._ensemble(inputs)
 
     def penalty(self, rewards: Tensor, segments: Segments) -> Tensor:
-        if not self._penalty:
+        if not self._linear:
             return super().penalty(rewards, segments)
-        return self._penalty * (rewards - segments.prior).square().mean(dim=(-2, -1)).sum()
+        return self._config.penalty * (rewards - segments.prior).square().mean(dim=(-2, -1)).sum()

@@ -8,11 +8,12 @@ from typing import Any
 import pytest
 
 from rrm.training.config import RunConfig
+from rrmctl.cli.request import job_record
 from rrmctl.planning import manifest
 from rrmctl.planning.cost import estimate, measure_gemm, model_seconds, stored_rates
 from rrmctl.planning.plan import Plan, make_plan
 from rrmctl.store.layout import Layout
-from rrmctl.store.records import JobRecord, State, Status, SweepRecord, record_sweep, write_status
+from rrmctl.store.records import State, Status, SweepRecord, record_sweep, write_status
 
 GIGA = 1e9
 
@@ -81,13 +82,7 @@ def test_only_what_is_left_is_counted() -> None:
 def store(root: Path, plan: Plan, *states: Status) -> Layout:
     """A results root in which the plan's first runs are in these states."""
     layout = Layout(root)
-    jobs = tuple(
-        JobRecord(
-            id=job.id, cell=job.config.cell, task=job.task, method=job.method, teacher=job.teacher,
-            feedback=job.feedback, seed=job.seed, steps=job.config.steps,
-        )
-        for job in plan.jobs
-    )  # fmt: skip
+    jobs = tuple(job_record(job) for job in plan.jobs)
     record_sweep(layout, SweepRecord(experiment=plan.experiment, variant=plan.variant, profile=plan.profile, jobs=jobs))
     for job, status in zip(plan.jobs, states, strict=False):
         folder = layout.run(job.id)
