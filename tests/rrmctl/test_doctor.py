@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import os
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
-
-import pytest
 
 from rrmctl import doctor
 
@@ -45,11 +46,24 @@ def test_results_folder(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.skipif(os.geteuid() == 0, reason="the superuser may write anywhere")
-def test_unwritable_results_folder(tmp_path: Path) -> None:
+@contextmanager
+def an_ordinary_user() -> Iterator[None]:
+    """The superuser may write anywhere; inside, this process is nobody."""
+    user = os.geteuid()
+    if user == 0:
+        os.seteuid(65534)
+    try:
+        yield
+    finally:
+        os.seteuid(user)
+
+
+def test_unwritable_results_folder() -> None:
     """A folder that takes no file is missing, and another can be named."""
-    tmp_path.chmod(0o500)
-    check = doctor.writable(tmp_path)
+    with tempfile.TemporaryDirectory() as name:  # not pytest's, whose parents only their owner may enter
+        Path(name).chmod(0o555)
+        with an_ordinary_user():
+            check = doctor.writable(Path(name))
     assert check.state == "missing"
     assert "--results" in check.fix
 
