@@ -82,12 +82,9 @@ def _aggregate(layout: Layout, names: Iterable[str]) -> None:
     from rrm.errors import RrmError
     from rrmctl.reports import aggregates
     from rrmctl.reports.select import read_sections
-    from rrmctl.reports.tables import Settings
-    from rrmctl.reports.words import reports
 
     for name in names:
         try:
-            _, curves = reports(read_sections(layout.root, name), Settings())
-            aggregates.write(layout, curves)
+            aggregates.write(layout, read_sections(layout.root, name))
         except (UserError, RrmError) as error:
             typer.echo(f"note: aggregates/{name}.parquet was not written: {error}", err=True)

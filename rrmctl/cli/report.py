@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -10,11 +11,12 @@ import typer
 
 from rrmctl.cli.options import DEFAULT_RESULTS, ResultsOption
 from rrmctl.errors import UserError
+from rrmctl.reports.figures import figures
+from rrmctl.reports.kinds import kinds
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from rrmctl.reports.series import Section
+    from rrmctl.reports.shelf import Entry
 
 report_app = typer.Typer(no_args_is_help=True, help="Tables from the store, with intervals and what is missing.")
 
@@ -51,6 +53,9 @@ IqmOption = Annotated[
         "runs at the quartiles (four count fully, two by half).",
     ),
 ]
+ReplicatesOption = Annotated[
+    int, typer.Option("--replicates", min=100, help="Resampled data sets behind each interval.")
+]
 
 
 @report_app.callback()
@@ -58,51 +63,49 @@ def report() -> None:
     """Tables from the store, with intervals and what is missing."""
 
 
-@report_app.command("iqm")
-def iqm(
-    name: NameArgument = None,
-    results: ResultsOption = DEFAULT_RESULTS,
-    form: Annotated[
-        Format, typer.Option("--format", help="csv and json carry raw values: success as a fraction.")
-    ] = Format.TERMINAL,
-    output: Annotated[
-        Path | None, typer.Option("-o", "--output", metavar="FILE", help="Write to a file instead of the terminal.")
-    ] = None,
-    kind: IqmOption = Iqm.RLIABLE,
-    profile: ProfileOption = None,
-    replicates: Annotated[
-        int, typer.Option("--replicates", min=100, help="Resampled data sets behind each interval.")
-    ] = 10_000,
-) -> None:
-    """Interquartile mean of each method, with 95 % bootstrap intervals over seeds.
+def _table(entry: Entry) -> Callable[..., None]:
+    """The command of one kind of table."""
 
-    Success is read at the first step at which 80 % of the seeds of any
-    method but the oracle are at 100 %, else at the last step; returns at
-    the last step. Profiles and overrides never share a table. The whole
-    curves are written to aggregates/NAME.parquet in the results folder.
-    """
-    from rrmctl.reports import aggregates
-    from rrmctl.reports.render import console_for, print_terminal, to_text
-    from rrmctl.reports.select import of_profile, read_sections
-    from rrmctl.reports.tables import Settings
-    from rrmctl.reports.words import reports
-    from rrmctl.store.atomic import StorageError
-    from rrmctl.store.layout import Layout
+    def command(
+        name: NameArgument = None,
+        results: ResultsOption = DEFAULT_RESULTS,
+        form: Annotated[
+            Format, typer.Option("--format", help="csv and json carry raw values: success as a fraction.")
+        ] = Format.TERMINAL,
+        output: Annotated[
+            Path | None, typer.Option("-o", "--output", metavar="FILE", help="Write to a file instead of the terminal.")
+        ] = None,
+        kind: IqmOption = Iqm.RLIABLE,
+        profile: ProfileOption = None,
+        replicates: ReplicatesOption = 10_000,
+    ) -> None:
+        from rrmctl.reports.render import console_for, print_terminal, to_text
+        from rrmctl.reports.select import of_profile, read_sections
+        from rrmctl.reports.settings import Settings
+        from rrmctl.store.atomic import StorageError
+        from rrmctl.store.layout import Layout
 
-    found = read_sections(results, _stem(name))
-    chosen = of_profile(found, profile)
-    made, curves = reports(found, Settings(kind=kind.value, replicates=replicates))
-    shown = [report for section, report in zip(found, made, strict=True) if section in chosen]
-    if output is not None:
-        _write(output, to_text(shown, form.value).encode())
-    elif form is Format.TERMINAL:
-        print_terminal(shown, console_for())
-    else:
-        typer.echo(to_text(shown, form.value), nl=False)
-    try:
-        aggregates.write(Layout(results), curves)
-    except StorageError as error:  # the table is what was asked for; a store one may only read still has one
-        typer.echo(f"note: the curves were not kept: {error}", err=True)
+        module = entry.load()
+        settings = Settings(kind=kind.value, replicates=replicates)
+        found = read_sections(results, _stem(name) or module.EXPERIMENT)
+        shown = module.make(of_profile(found, profile), settings)
+        if output is not None:
+            _write(output, to_text(shown, form.value).encode())
+        elif form is Format.TERMINAL:
+            print_terminal(shown, console_for())
+        else:
+            typer.echo(to_text(shown, form.value), nl=False)
+        try:
+            if hasattr(module, "keep"):
+                module.keep(Layout(results), found, settings)
+        except StorageError as error:  # the table is what was asked for; a store one may only read still has one
+            typer.echo(f"note: the curves were not kept: {error}", err=True)
+
+    return command
+
+
+for _entry in kinds().values():
+    report_app.command(_entry.name, help=_entry.help)(_table(_entry))
 
 
 def plot(
@@ -112,23 +115,37 @@ def plot(
         Path | None,
         typer.Option("-o", "--output", metavar="DIR", help="Folder for the figures. Default: figures/ in the results."),
     ] = None,
+    wanted: Annotated[
+        list[str] | None,
+        typer.Option("--figure", metavar="FIGURE", help=f"Only this one, may be repeated: {', '.join(figures())}."),
+    ] = None,
     kind: IqmOption = Iqm.RLIABLE,
     profile: ProfileOption = None,
+    replicates: ReplicatesOption = 10_000,
 ) -> None:
-    """Draw the learning curves as PNG and PDF and print their paths.
+    """Draw the figures that suit an experiment as PNG and PDF and print their paths.
 
-    One panel for each task: interquartile mean over seeds, band from the
-    25th to the 75th percentile of the seeds, oracle dotted.
+    Learning curves suit every one: interquartile mean over seeds, band from
+    the 25th to the 75th percentile of the seeds, oracle dotted.
     """
-    from rrmctl.reports.figures import draw, encode
+    from rrmctl.reports.canvas import encode
     from rrmctl.reports.select import of_profile, read_sections
+    from rrmctl.reports.settings import Settings
 
+    drawn = {figure: entry.load() for figure, entry in _chosen(wanted).items()}
+    settings = Settings(kind=kind.value, replicates=replicates)
     for section in _with_runs(of_profile(read_sections(results, _stem(name)), profile)):
-        figure = draw(section, kind=kind.value)
-        for suffix in ("png", "pdf"):
-            path = (output or results / "figures") / f"{_figure_name(section)}.{suffix}"
-            _write(path, encode(figure, suffix))
-            typer.echo(str(path))
+        for figure, module in drawn.items():
+            if not module.suits(section):
+                if wanted:
+                    where = f"{section.experiment}, profile {section.profile}"
+                    typer.echo(f"note: {where}: nothing to draw in the figure {figure}", err=True)
+                continue
+            made = module.draw(section, settings)
+            for suffix in ("png", "pdf"):
+                path = (output or results / "figures") / f"{_figure_name(section, figure)}.{suffix}"
+                _write(path, encode(made, suffix))
+                typer.echo(str(path))
 
 
 def _with_runs(sections: Sequence[Section]) -> list[Section]:
@@ -139,11 +156,27 @@ def _with_runs(sections: Sequence[Section]) -> list[Section]:
     return [section for section in sections if section.contained]
 
 
-def _figure_name(section: Section) -> str:
-    """Experiment and variant; the paper's own needs no mention."""
+def _chosen(wanted: Sequence[str] | None) -> dict[str, Entry]:
+    """The figures of these names, or all.
+
+    Raises:
+        UserError: there is no figure of a name.
+    """
+    from rrmctl.planning.manifest import nearest
+
+    known = figures()
+    for name in wanted or ():
+        if name not in known:
+            raise UserError(f'there is no figure "{name}"{nearest(name, known)}', f"there are: {', '.join(known)}")
+    return {name: known[name] for name in wanted or known}
+
+
+def _figure_name(section: Section, figure: str) -> str:
+    """Experiment, variant and figure; the paper's own scale and the curves, which all have, need no mention."""
     from rrmctl.planning.profiles import PAPER
 
-    return section.experiment if section.variant == PAPER else f"{section.experiment}-{section.variant}"
+    variant = () if section.variant == PAPER else (section.variant,)
+    return "-".join((section.experiment, *variant, *(() if figure == "curves" else (figure,))))
 
 
 def _stem(name: str | None) -> str | None:

@@ -12,15 +12,17 @@ schema_version                        int64, `rrmctl.reports.tables.CURVES_VERSI
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from rrmctl.reports.tables import CURVE_COLUMNS
+from rrmctl.reports.settings import DEFAULTS, Settings
+from rrmctl.reports.tables import CURVE_COLUMNS, curve_table
 from rrmctl.store.atomic import write_bytes
 
 if TYPE_CHECKING:
-    import pandas as pd
     import pyarrow as pa
 
+    from rrmctl.reports.series import Section
     from rrmctl.store.layout import Layout
 
 _WHOLE = ("step", "n", "schema_version")
@@ -36,15 +38,17 @@ def schema() -> pa.Schema:
     return pa.schema(fields)
 
 
-def write(layout: Layout, curves: pd.DataFrame) -> None:
-    """Replace the files of all experiments in `curves` (columns `CURVE_COLUMNS`), each as a whole.
+def write(layout: Layout, sections: Sequence[Section], settings: Settings = DEFAULTS) -> None:
+    """Replace the files of all experiments in `sections`, each as a whole.
 
     Raises:
         StorageError: the results folder takes no write; the old files are untouched.
     """
+    import pandas as pd
     import pyarrow as pa
     import pyarrow.parquet as pq
 
+    curves = pd.concat([curve_table(section, settings) for section in sections], ignore_index=True)
     for experiment, rows in curves.groupby("experiment", sort=False):
         buffer = pa.BufferOutputStream()
         # from_pandas=False: a NaN stays a number and does not become a null.

@@ -8,27 +8,22 @@ from __future__ import annotations
 
 import io
 import json
-import math
 import os
 from collections.abc import Callable, Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
-from rrmctl.reports.tables import COLUMNS
-from rrmctl.reports.words import LAST_MARK
-
 if TYPE_CHECKING:
     import pandas as pd
     from rich.console import Console
+    from rich.text import Text
 
-    from rrmctl.reports.words import Report
+    from rrmctl.reports.document import Grid, Report
 
 #: Of the JSON document and the CSV columns; raised by one when one is added, removed, or changes its meaning.
 TEXT_VERSION = 1
 
-_NOTHING = "–"
 #: Columns of a terminal: the usual number, enough for space between the columns, and what is taken where nobody looks.
 _USUAL, _ROOMY, _WIDE = 80, 100, 160
-_LEFT = ("task", "teacher", "feedback", "method")
 
 
 def print_terminal(reports: Sequence[Report], console: Console) -> None:
@@ -38,29 +33,29 @@ def print_terminal(reports: Sequence[Report], console: Console) -> None:
     from rich.text import Text
 
     for report in reports:
-        header, rows = cells(report.table)
+        grid = report.grid
         table = Table(box=SIMPLE_HEAD, show_edge=False, pad_edge=False, padding=(0, int(console.width >= _ROOMY)))
-        for name in header:
-            text = name.lower() in _LEFT
+        for column, name in enumerate(grid.header):
+            text = column < grid.words
             # Names fold first; numbers only where even the narrowest of terminals leaves no choice.
             whole = not text and console.width >= _USUAL
             table.add_column(name, justify="left" if text else "right", overflow="fold", no_wrap=whole)
-        for row, last in zip(*_grouped(rows), strict=True):
-            table.add_row(*row, end_section=last)
+        for at, (row, last) in enumerate(zip(grid.named_once(), grid.ends(), strict=True)):
+            table.add_row(
+                *[_emphasised(cell, (at, column) in grid.best) for column, cell in enumerate(row)], end_section=last
+            )
         console.print(Text(report.title, style="bold"))
-        if rows:
+        if grid.rows:
             console.print(table)
         for note in report.notes:
             console.print(Text(note, style="dim"))
         console.print()
 
 
-def _grouped(rows: Sequence[Sequence[str]]) -> tuple[list[list[str]], list[bool]]:
-    """The rows with each task named once, and which of them end a task."""
-    tasks = [row[0] for row in rows]
-    starts = [here != before for here, before in zip(tasks, [None, *tasks], strict=False)]
-    named = [[row[0] if first else "", *row[1:]] for row, first in zip(rows, starts, strict=True)]
-    return named, [*starts[1:], False] if starts else []
+def _emphasised(text: str, best: bool) -> Text:
+    from rich.text import Text
+
+    return Text(text, style="bold" if best else "")
 
 
 def console_for(file: Any = None) -> Console:
@@ -89,60 +84,23 @@ def _terminal(reports: Sequence[Report]) -> str:
     return "\n".join(line.rstrip() for line in file.getvalue().rstrip().splitlines()) + "\n"
 
 
-def cells(table: pd.DataFrame) -> tuple[list[str], list[list[str]]]:
-    """Header and rows of an IQM table for people; columns that say nothing are left out."""
-    columns: dict[str, list[str]] = {"Task": list(table["task"])}
-    for name in ("teacher", "feedback"):
-        if (table.groupby("task")[name].nunique() > 1).any():
-            columns[name.capitalize()] = list(table[name])
-    records = table.to_dict("records")
-    columns["Method"] = list(table["method"])
-    columns["Step"] = [_step(row) for row in records]
-    columns["IQM"] = [_number(row["iqm"], row["score"]) for row in records]
-    columns["95 % interval"] = [_interval(row) for row in records]
-    columns["25-75 %"] = [_range(row["q25"], row["q75"], row["score"], "{}..{}") for row in records]
-    columns["n"] = [f"{row['n']}/{row['planned']}" for row in records]
-    columns["AUC"] = [_number(row["auc"], row["score"]) for row in records]
-    return list(columns), [list(row) for row in zip(*columns.values(), strict=True)]
-
-
-def _step(row: dict[Any, Any]) -> str:
-    if row["step_rule"] == "each":
-        return _NOTHING
-    return f"{row['step']:,}" + (LAST_MARK if row["step_rule"] == "last" else "")
-
-
-def _number(value: float, score: str) -> str:
-    """Success as percent, a return with what digits it needs."""
-    if math.isnan(value):
-        return _NOTHING
-    if score == "success":
-        return f"{100 * value:.1f} %"
-    return f"{value:.{0 if abs(value) >= 1000 else 1 if abs(value) >= 100 else 2}f}"
-
-
-def _range(low: float, high: float, score: str, form: str) -> str:
-    """Two numbers in one cell; the sign for percent stands in the column of the estimate."""
-    if math.isnan(low):
-        return _NOTHING
-    return form.format(*(_number(end, score).removesuffix(" %") for end in (low, high)))
-
-
-def _interval(row: dict[Any, Any]) -> str:
-    too_few = row["n"] > 0 and math.isnan(row["low"])
-    return "n < 3" if too_few else _range(row["low"], row["high"], row["score"], "[{}, {}]")
-
-
 def _markdown(reports: Sequence[Report]) -> str:
     parts = []
     for report in reports:
-        header, rows = cells(report.table)
-        rule = [":--" if name.lower() in _LEFT else "--:" for name in header]
-        grid = [header, rule, *[[_escape(cell, "|*_") for cell in row] for row in rows]]
-        lines = ["| " + " | ".join(row) + " |" for row in grid]
+        grid = report.grid
+        rule = [":--" if column < grid.words else "--:" for column in range(len(grid.header))]
+        body = _cells(grid, grid.rows, lambda cell: _escape(cell, "|*_"), "**{}**")
+        lines = ["| " + " | ".join(row) + " |" for row in (grid.header, rule, *body)]
         notes = [f"- {_escape(note, '*_')}" for note in report.notes]
         parts.append("\n".join([f"### {_escape(report.title, '*_')}", "", *lines, "", *notes]))
     return "\n\n".join(parts) + "\n"
+
+
+def _cells(grid: Grid, rows: Sequence[Sequence[str]], escape: Callable[[str], str], bold: str) -> Iterator[list[str]]:
+    """The rows with every cell escaped, and the best ones in bold."""
+    for at, row in enumerate(rows):
+        cells = enumerate(map(escape, row))
+        yield [bold.format(cell) if (at, column) in grid.best else cell for column, cell in cells]
 
 
 def _escape(text: str, signs: str) -> str:
@@ -164,13 +122,19 @@ def _latex(reports: Sequence[Report]) -> str:
 
 
 def _latex_lines(report: Report) -> Iterator[str]:
-    header, rows = cells(report.table)
-    alignment = "".join("l" if name.lower() in _LEFT else "r" for name in header)
+    grid = report.grid
+    alignment = "".join("l" if column < grid.words else "r" for column in range(len(grid.header)))
     yield f"% {json.dumps(report.facts, sort_keys=True)}"
     yield from (r"\begin{table}", r"\centering", rf"\caption{{{_tex(report.title)}}}")
-    yield from (rf"\begin{{tabular}}{{{alignment}}}", r"\toprule", " & ".join(map(_tex, header)) + r" \\", r"\midrule")
-    for row, last in zip(*_grouped(rows), strict=True):
-        yield " & ".join(map(_tex, row)) + r" \\"
+    yield from (
+        rf"\begin{{tabular}}{{{alignment}}}",
+        r"\toprule",
+        " & ".join(map(_tex, grid.header)) + r" \\",
+        r"\midrule",
+    )
+    body = _cells(grid, grid.named_once(), _tex, r"\textbf{{{}}}")
+    for row, last in zip(body, grid.ends(), strict=True):
+        yield " & ".join(row) + r" \\"
         if last:
             yield r"\midrule"
     yield from (r"\bottomrule", r"\end{tabular}", r"\par\smallskip\footnotesize")
@@ -192,7 +156,7 @@ def _csv(reports: Sequence[Report]) -> str:
         facts = {key: value if _is_plain(value) else json.dumps(value) for key, value in report.facts.items()}
         rest = {key: value for key, value in facts.items() if key not in plain}
         table = report.table.assign(**facts, schema_version=TEXT_VERSION)
-        tables.append(table[[*plain, *COLUMNS, *rest, "schema_version"]])
+        tables.append(table[[*plain, *report.table.columns, *rest, "schema_version"]])
     text: str = pd.concat(tables, ignore_index=True).to_csv(index=False, lineterminator="\n")
     return text
 

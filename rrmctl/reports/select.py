@@ -18,7 +18,7 @@ import numpy as np
 from rrm.envs.tasks import task
 from rrmctl.errors import UserError
 from rrmctl.planning.manifest import nearest
-from rrmctl.reports.series import Absent, Label, Section, Series
+from rrmctl.reports.series import Absent, Label, Section, Series, by_seed
 from rrmctl.store.layout import Layout
 from rrmctl.store.reader import load, open_results, planned, read_config
 
@@ -172,12 +172,8 @@ def _series(label: Label, rows: pd.DataFrame, asked: int, problems: list[str]) -
     used = done if len(done) else rows[rows["state"].isin(_UNDER_WAY)]
     _one_cell(label, used)
     who = _distinct(used.sort_values("seed"), "seed", "run")
-    matrix = used.pivot(index="seed", columns="step", values=_COLUMN[score]).sort_index()
-    evaluations = used.groupby("step")["seed"].nunique()
-    matrix = matrix[sorted(evaluations.index[evaluations == len(who)])]
-    values = matrix.to_numpy(dtype=np.float64)
+    steps, values = by_seed(used, _COLUMN[score])
     finite = np.isfinite(values).all(axis=0)
-    steps = matrix.columns.to_numpy(dtype=np.int64)
     if not finite.all():
         where = int(np.flatnonzero(~finite)[0])
         bad = ", ".join(run for (_, run), value in zip(who, values[:, where], strict=True) if not np.isfinite(value))
@@ -196,6 +192,7 @@ def _series(label: Label, rows: pd.DataFrame, asked: int, problems: list[str]) -
         runs=tuple(str(run) for _, run in who),
         planned=asked,
         finished=len(done) > 0,
+        rows=used,
     )
 
 

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Any, NamedTuple
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -12,6 +12,9 @@ import numpy.typing as npt
 from rrm.envs.tasks import Score
 from rrmctl.errors import UserError
 from rrmctl.stats import CommonStep, common_step
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 Floats = npt.NDArray[np.float64]
 Steps = npt.NDArray[np.int64]
@@ -55,6 +58,11 @@ class Series:
     runs: tuple[str, ...]  #: [S]
     planned: int  #: runs that were asked for
     finished: bool  #: False: runs under way, read as far as all of them have come
+    rows: pd.DataFrame = field(repr=False)  #: the evaluations of these runs, all columns of the curve
+
+    def measure(self, column: str) -> tuple[Steps, Floats]:
+        """A column of the curve at the steps that all runs have: [T], and [S, T] in the order of `seeds`."""
+        return by_seed(self.rows, column)
 
     @property
     def n(self) -> int:
@@ -131,6 +139,14 @@ class Section:
                 if any(each.n for each in members):
                     found.append(Panel(name, teacher, feedback, members[0].score, members))
         return tuple(found)
+
+
+def by_seed(rows: pd.DataFrame, column: str) -> tuple[Steps, Floats]:
+    """Steps [T] at which every seed was evaluated, and the column there, [S, T] with the seeds in order."""
+    matrix = rows.pivot(index="seed", columns="step", values=column).sort_index()
+    evaluations = rows.groupby("step")["seed"].nunique()
+    matrix = matrix[sorted(evaluations.index[evaluations == len(matrix)])]
+    return matrix.columns.to_numpy(dtype=np.int64), matrix.to_numpy(dtype=np.float64)
 
 
 def at_steps(series: Series, steps: Steps) -> Floats:

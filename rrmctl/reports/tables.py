@@ -1,24 +1,24 @@
 """The IQM table and the IQM curves of a section, as DataFrames.
 
-Values are raw here: success as a fraction, returns as they are. `rrmctl.reports.words` adds what must stand beside
-them and `rrmctl.reports.render` writes both for people.
+Values are raw here: success as a fraction, returns as they are. What must stand beside them is added where a report is
+made of them.
 """
 
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from rrmctl.reports.series import Floats, Panel, Section, Series, Steps, at_steps
+from rrmctl.reports.settings import BOOTSTRAP_SEED, DEFAULTS, LEVEL, Settings
 from rrmctl.stats import (
-    REPLICATES,
     Estimate,
     Iqm,
-    IqmKind,
     area_under_curve,
     bootstrap,
     estimate,
@@ -33,10 +33,6 @@ if TYPE_CHECKING:
 
 #: Of the curves' parquet file; raised by one when a column is added, removed, or changes its meaning.
 CURVES_VERSION = 1
-#: Every interval is drawn from a generator of its own with this seed, so that a table depends on its runs alone.
-BOOTSTRAP_SEED = 0
-LEVEL = 0.95
-
 COLUMNS = (
     "task", "teacher", "feedback", "method", "score", "step", "step_rule", "iqm", "low", "high", "q25", "q75", "n",
     "planned", "auc", "auc_low", "auc_high",
@@ -48,17 +44,6 @@ CURVE_COLUMNS = (
 
 #: Stands for the task in rows that pool all tasks read by success.
 ALL_TASKS = "success tasks"
-
-
-@dataclass(frozen=True, kw_only=True)
-class Settings:
-    """How the statistics of a report are made."""
-
-    kind: IqmKind = "rliable"
-    replicates: int = REPLICATES
-
-
-DEFAULTS = Settings()
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,7 +63,8 @@ class Curve:
         return estimate(area_under_curve(steps, self.iqm.estimate[where]), draws, n=self.series.n, level=LEVEL)
 
 
-def curves(section: Section, settings: Settings = DEFAULTS) -> dict[Series, Curve]:
+@lru_cache(maxsize=64)  # a table and the file beside it are made of the same curves
+def curves(section: Section, settings: Settings = DEFAULTS) -> Mapping[Series, Curve]:
     """The curve of every series that has a run."""
     return {each: _curve(each, settings) for each in section.series if each.n}
 
@@ -95,16 +81,11 @@ def _curve(series: Series, settings: Settings) -> Curve:
 
 def curve_table(section: Section, settings: Settings = DEFAULTS) -> pd.DataFrame:
     """The IQM curves of a section, one row per series and step: columns `CURVE_COLUMNS`."""
-    return curve_rows(section, curves(section, settings), settings)
-
-
-def curve_rows(section: Section, made: dict[Series, Curve], settings: Settings) -> pd.DataFrame:
-    """`curve_table` of curves that are made already."""
     import pandas as pd
 
     rows = [
         (section.experiment, section.variant, section.profile, *series.label, int(step), *map(float, numbers), series.n)
-        for series, curve in made.items()
+        for series, curve in curves(section, settings).items()
         for step, *numbers in zip(
             series.steps, curve.iqm.estimate, curve.q25, curve.q75, curve.iqm.low, curve.iqm.high, strict=True
         )
@@ -115,21 +96,16 @@ def curve_rows(section: Section, made: dict[Series, Curve], settings: Settings) 
 
 def iqm_table(section: Section, settings: Settings = DEFAULTS) -> pd.DataFrame:
     """Per task and method the IQM at the task's common step, with its interval: columns `COLUMNS`."""
-    return iqm_rows(section, curves(section, settings), settings)
-
-
-def iqm_rows(section: Section, made: dict[Series, Curve], settings: Settings) -> pd.DataFrame:
-    """`iqm_table` of curves that are made already."""
     import pandas as pd
 
-    panels = section.panels()
+    panels, made = section.panels(), curves(section, settings)
     rows = [row for panel in panels for row in _panel_rows(panel, made)]
     rows += [row for group in across_tasks(panels) for row in _group_rows(group, settings)]
     table = pd.DataFrame(rows, columns=list(COLUMNS))
     return table.astype({"step": "Int64", "n": "int64", "planned": "int64"})
 
 
-def _panel_rows(panel: Panel, made: dict[Series, Curve]) -> Iterator[dict[str, Any]]:
+def _panel_rows(panel: Panel, made: Mapping[Series, Curve]) -> Iterator[dict[str, Any]]:
     read, steps = panel.read_at(), panel.steps()
     rule = "final" if panel.score == "return" else "first" if read.reached else "last"
     for series in panel.series:

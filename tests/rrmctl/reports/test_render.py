@@ -6,10 +6,10 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
+from rrmctl.reports.kinds.iqm import make
 from rrmctl.reports.render import FORMATS, console_for, print_terminal, to_text
 from rrmctl.reports.select import sections
-from rrmctl.reports.tables import Settings
-from rrmctl.reports.words import reports
+from rrmctl.reports.settings import Settings
 from tests.rrmctl.reports.frames import RISING, Sweep
 
 GOLDEN = Path(__file__).with_name("golden")
@@ -19,7 +19,7 @@ def made(*sweeps: Sweep, **settings):
     """Reports of all these sweeps as of one store."""
     rows, jobs = (pd.concat(pair, ignore_index=True) for pair in zip(*(s.frames() for s in sweeps), strict=True))
     evaluation = {cell: told for sweep in sweeps for cell, told in sweep.evaluation().items()}
-    return reports(sections(rows, jobs, evaluation=evaluation), Settings(replicates=1000, **settings))[0]
+    return make(sections(rows, jobs, evaluation=evaluation), Settings(replicates=1000, **settings))
 
 
 RAGGED = Sweep(
@@ -93,7 +93,7 @@ def test_teachers_and_schedules_are_named_where_they_differ():
     rows, jobs = (
         table.assign(run=table["run"] + half.astype(str)) for table, half in zip((rows, jobs), halves, strict=True)
     )
-    header = to_text(reports(sections(rows, jobs), Settings(replicates=100))[0], "markdown").splitlines()[2]
+    header = to_text(make(sections(rows, jobs), Settings(replicates=100)), "markdown").splitlines()[2]
     assert "Feedback" in header
     assert "Feedback" not in to_text(made(Sweep()), "markdown").splitlines()[2]
 

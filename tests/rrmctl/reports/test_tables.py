@@ -5,7 +5,8 @@ from scipy.stats import trim_mean
 
 from rrmctl.reports import aggregates
 from rrmctl.reports.select import sections
-from rrmctl.reports.tables import ALL_TASKS, COLUMNS, CURVE_COLUMNS, Settings, curve_table, iqm_table
+from rrmctl.reports.settings import Settings
+from rrmctl.reports.tables import ALL_TASKS, COLUMNS, CURVE_COLUMNS, curve_table, iqm_table
 from rrmctl.store.layout import Layout
 from tests.rrmctl.reports.frames import RISING, SATURATED, Sweep
 
@@ -117,8 +118,7 @@ def test_curves_are_kept_as_parquet(tmp_path):
     """The aggregated file has one row per series and step, plain types, and NaN where there is no interval."""
     short = Sweep(curves=RISING | {"pebble": RISING["pebble"][:2]})
     (section,) = sections(*short.frames())
-    curves = curve_table(section, QUICK)
-    aggregates.write(Layout(tmp_path), curves)
+    aggregates.write(Layout(tmp_path), [section], QUICK)
     read = pd.read_parquet(tmp_path / "aggregates" / "main-results.parquet")
     assert len(read) == 3 * 4
     pebble = read[read["method"] == "pebble"]

@@ -1,12 +1,10 @@
-"""Learning curves: the interquartile mean over seeds as a line, the quartiles as a band, the oracle dotted.
+"""Learning curves: one panel for each task, the interquartile mean over seeds, their quartiles as a band.
 
-The band is the spread of the seeds (25th to 75th percentile), not a confidence interval. Figures are matplotlib objects
-with a canvas of their own, so that notebooks show them and nothing global changes.
+The oracle is dotted. The band is the spread of the seeds (25th to 75th percentile), not a confidence interval.
 """
 
 from __future__ import annotations
 
-import io
 import itertools
 import math
 import textwrap
@@ -14,8 +12,10 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 from rrmctl.errors import UserError
+from rrmctl.reports.canvas import LOOK
 from rrmctl.reports.select import sections
 from rrmctl.reports.series import ORACLE, Panel, Section, Series
+from rrmctl.reports.settings import DEFAULTS, Settings
 from rrmctl.reports.styles import style
 from rrmctl.reports.words import absent_notes, title
 from rrmctl.stats import iqm, quartiles
@@ -39,23 +39,6 @@ _LEGEND: dict[str, Any] = {"borderaxespad": 0.2, "columnspacing": 1.4, "handlele
 
 _UNITS = {"success": "Success rate (%)", "return": "Return (true reward)"}
 
-#: Fonts are embedded as outlines a printer and a search understand (Type 42), sizes are those of a paper's captions.
-_LOOK: Any = {
-    "font.size": 8,
-    "axes.titlesize": 8.5,
-    "axes.labelsize": 8,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.grid": True,
-    "grid.color": "#DDDDDD",
-    "grid.linewidth": 0.5,
-    "axes.axisbelow": True,
-    "legend.frameon": False,
-    "legend.fontsize": 8,
-    "pdf.fonttype": 42,
-    "svg.fonttype": "none",
-}
-
 
 def learning_curves(rows: pd.DataFrame, jobs: pd.DataFrame | None = None, *, kind: IqmKind = "rliable") -> Figure:
     """One panel for each task (and teacher and schedule), a line for each method.
@@ -72,10 +55,15 @@ def learning_curves(rows: pd.DataFrame, jobs: pd.DataFrame | None = None, *, kin
     if len(found) != 1:
         which = ", ".join(f"{each.experiment}/{each.variant}" for each in found) or "none"
         raise UserError(f"a figure shows one variant of one experiment, not {which}", "filter the rows beforehand")
-    return draw(found[0], kind=kind)
+    return draw(found[0], Settings(kind=kind))
 
 
-def draw(section: Section, *, kind: IqmKind = "rliable") -> Figure:
+def suits(section: Section) -> bool:
+    """Every section with a run has curves."""
+    return section.contained > 0
+
+
+def draw(section: Section, settings: Settings = DEFAULTS) -> Figure:
     """The learning curves of a section.
 
     Raises:
@@ -84,7 +72,7 @@ def draw(section: Section, *, kind: IqmKind = "rliable") -> Figure:
     import matplotlib as mpl
     from matplotlib.figure import Figure
 
-    panels = section.panels()
+    panels, kind = section.panels(), settings.kind
     if not panels:
         raise UserError(
             f"{section.experiment}: there is no run to draw", f"`rrmctl run {section.experiment}` makes one"
@@ -96,7 +84,7 @@ def draw(section: Section, *, kind: IqmKind = "rliable") -> Figure:
     columns = _legend_columns(list(counts.values()), width)
     notes = _notes(section, kind, width)
     below = 0.12 + 0.17 * math.ceil(len(counts) / columns) + 0.125 * len(notes)
-    with mpl.rc_context(_LOOK):
+    with mpl.rc_context(LOOK):
         figure = Figure(figsize=(width, height + below), layout="constrained")
         strips: Any = figure.subfigures(2, 1, height_ratios=(height, below))
         upper, lower = strips
@@ -117,19 +105,6 @@ def draw(section: Section, *, kind: IqmKind = "rliable") -> Figure:
         lower.legend(handles=handles, loc="upper center", ncols=columns, **_LEGEND)
         lower.text(0.5, 0.03, "\n".join(notes), ha="center", va="bottom", fontsize=6.5, color="#444444")
     return figure
-
-
-def encode(figure: Figure, form: str) -> bytes:
-    """The figure as a file's content; `form` is a suffix matplotlib knows. Equal figures give equal bytes."""
-    import matplotlib as mpl
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-
-    FigureCanvasAgg(figure)
-    buffer = io.BytesIO()
-    undated = {"CreationDate": None} if form == "pdf" else None
-    with mpl.rc_context(_LOOK):
-        figure.savefig(buffer, format=form, dpi=200, metadata=undated)
-    return buffer.getvalue()
 
 
 def _draw_panel(axes: Axes, panel: Panel, kind: IqmKind) -> None:

@@ -1,0 +1,78 @@
+"""A report ready to be written: raw values for programs, text for people, and the words that must stand beside them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from rrm.envs.tasks import Score
+
+#: Stands where there is nothing to say.
+NOTHING = "–"
+
+
+@dataclass(frozen=True)
+class Grid:
+    """A table as people read it."""
+
+    header: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+    words: int = 1  #: so many columns from the left hold names, the others numbers
+    best: frozenset[tuple[int, int]] = frozenset()  #: (row, column) of what is to be set in bold
+
+    def __post_init__(self) -> None:
+        assert all(len(row) == len(self.header) for row in self.rows)
+
+    @classmethod
+    def of(
+        cls, columns: dict[str, Sequence[str]], *, words: int, best: frozenset[tuple[int, int]] = frozenset()
+    ) -> Grid:
+        """From columns of text, by heading."""
+        return cls(tuple(columns), tuple(zip(*columns.values(), strict=True)), words, best)
+
+    def ends(self) -> list[bool]:
+        """For each row, whether it is the last of those that share its first column and another group follows."""
+        starts = [here[0] != before[0] for before, here in zip(self.rows, self.rows[1:], strict=False)]
+        return [*starts, False] if self.rows else []
+
+    def named_once(self) -> list[tuple[str, ...]]:
+        """The rows, with a name in the first column only where a group of them begins."""
+        begins = [True, *self.ends()]
+        return [row if begins[at] else ("", *row[1:]) for at, row in enumerate(self.rows)]
+
+
+@dataclass(frozen=True, eq=False)
+class Report:
+    """One table with everything without which it must not be shown."""
+
+    title: str
+    table: pd.DataFrame  #: raw values: success as a fraction, returns as they are, nothing as NaN
+    grid: Grid
+    notes: tuple[str, ...]
+    facts: dict[str, Any]  #: what the notes say, in JSON values; experiment, profile and variant among them
+
+
+def number(value: float, score: Score) -> str:
+    """Success as percent, a return with what digits it needs."""
+    if math.isnan(value):
+        return NOTHING
+    if score == "success":
+        return f"{100 * value:.1f} %"
+    return f"{value:.{0 if abs(value) >= 1000 else 1 if abs(value) >= 100 else 2}f}"
+
+
+def spread(low: float, high: float, score: Score, form: str = "[{}, {}]") -> str:
+    """Two numbers in one cell; the sign for percent stands in the column of the estimate."""
+    if math.isnan(low):
+        return NOTHING
+    return form.format(*(number(end, score).removesuffix(" %") for end in (low, high)))
+
+
+def interval(low: float, high: float, score: Score, n: int) -> str:
+    """An interval as [low, high], or why there is none."""
+    return "n < 3" if n > 0 and math.isnan(low) else spread(low, high, score)

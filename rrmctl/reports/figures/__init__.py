@@ -1,0 +1,15 @@
+"""The figures: each module here is drawn by `rrmctl plot` for every section that it suits.
+
+A module has
+
+- a docstring, whose first line `rrmctl plot --help` shows,
+- `suits(section) -> bool`, whether the section has what the figure shows, and
+- `draw(section, settings) -> Figure`, a matplotlib figure with a canvas of its own.
+"""
+
+from rrmctl.reports.shelf import Entry, entries
+
+
+def figures() -> dict[str, Entry]:
+    """The figures, by name."""
+    return entries(__file__, __name__)

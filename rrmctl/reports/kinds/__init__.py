@@ -1,0 +1,16 @@
+"""The tables: each module here is a `rrmctl report` command.
+
+A module has
+
+- a docstring, which is the command's help,
+- `EXPERIMENT: str | None`, the experiment that is read where none is named; None reads all,
+- `make(sections, settings) -> list[Report]`, the tables of these sections, and
+- where it leaves a file in the results folder, `keep(layout, sections, settings) -> None`.
+"""
+
+from rrmctl.reports.shelf import Entry, entries
+
+
+def kinds() -> dict[str, Entry]:
+    """The tables, by name."""
+    return entries(__file__, __name__)

@@ -1,0 +1,93 @@
+"""Interquartile mean of each method, with 95 % bootstrap intervals over seeds.
+
+Success is read at the first step at which 80 % of the seeds of any
+method but the oracle are at 100 %, else at the last step; returns at
+the last step. Profiles and overrides never share a table. The whole
+curves are written to aggregates/NAME.parquet in the results folder.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING, Any
+
+from rrmctl.reports import aggregates
+from rrmctl.reports.document import NOTHING, Grid, Report, interval, number, spread
+from rrmctl.reports.series import Panel, Section
+from rrmctl.reports.settings import Settings
+from rrmctl.reports.tables import ALL_TASKS, across_tasks, iqm_table
+from rrmctl.reports.words import contents_notes, facts, statistics_notes, title
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from rrmctl.store.layout import Layout
+
+EXPERIMENT = None
+
+#: Beside a step that is merely the last one, and before the note that says so.
+LAST_MARK = "*"
+
+
+def make(sections: Sequence[Section], settings: Settings) -> list[Report]:
+    """A table for each section."""
+    return [_report(section, settings) for section in sections]
+
+
+def keep(layout: Layout, sections: Sequence[Section], settings: Settings) -> None:
+    """Write the curves behind the tables, as `rrmctl.reports.aggregates` describes."""
+    aggregates.write(layout, sections, settings)
+
+
+def _report(section: Section, settings: Settings) -> Report:
+    table = iqm_table(section, settings)
+    return Report(title(section), table, _grid(table), tuple(_notes(section, settings)), facts(section, settings))
+
+
+def _grid(table: pd.DataFrame) -> Grid:
+    """The table for people; columns that say nothing are left out."""
+    columns: dict[str, Sequence[str]] = {"Task": list(table["task"])}
+    for name in ("teacher", "feedback"):
+        if (table.groupby("task")[name].nunique() > 1).any():
+            columns[name.capitalize()] = list(table[name])
+    columns["Method"] = list(table["method"])
+    words, rows = len(columns), table.to_dict("records")
+    columns["Step"] = [_step(row) for row in rows]
+    columns["IQM"] = [number(row["iqm"], row["score"]) for row in rows]
+    columns["95 % interval"] = [interval(row["low"], row["high"], row["score"], row["n"]) for row in rows]
+    columns["25-75 %"] = [spread(row["q25"], row["q75"], row["score"], "{}..{}") for row in rows]
+    columns["n"] = [f"{row['n']}/{row['planned']}" for row in rows]
+    columns["AUC"] = [number(row["auc"], row["score"]) for row in rows]
+    return Grid.of(columns, words=words)
+
+
+def _step(row: dict[Any, Any]) -> str:
+    if row["step_rule"] == "each":
+        return NOTHING
+    return f"{row['step']:,}" + (LAST_MARK if row["step_rule"] == "last" else "")
+
+
+def _notes(section: Section, settings: Settings) -> Iterator[str]:
+    yield from contents_notes(section)
+    panels = section.panels()
+    for panel in panels:
+        alone = sum(each.task == panel.task for each in panels) == 1
+        yield _step_note(panel.task if alone else f"{panel.task} ({panel.teacher}, {panel.feedback})", panel)
+    if across_tasks(panels):
+        yield f'"{ALL_TASKS}" pools the seeds of all tasks that are read by success, each at its own step.'
+    yield "AUC: area under the IQM curve over the steps common to a task's methods, divided by their span."
+    yield from statistics_notes(section, settings)
+
+
+def _step_note(name: str, panel: Panel) -> str:
+    """Where a panel is read, and why there."""
+    read = panel.read_at()
+    if panel.score == "return":
+        return f"{name} is read at the last common step, {read.step:,}; scores are true returns."
+    if read.reached:
+        who = " and ".join(read.by)
+        return f"{name} is read at step {read.step:,}, the first at which 80 % of the seeds of {who} are at 100 %."
+    return (
+        f"{LAST_MARK} {name} is read at the last common step, {read.step:,}: no method but the oracle ever has "
+        "80 % of its seeds at 100 %."
+    )
