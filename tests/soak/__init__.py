@@ -1,0 +1,1 @@
+"""Sweeps that are attacked at random moments, and must end as if nothing had happened."""
