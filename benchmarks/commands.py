@@ -49,7 +49,16 @@ def lines() -> list[Line]:
         nothing, begun, done = (Path(folder) / name for name in ("nothing", "begun", "done"))
         write_sweep(Layout(begun), many, write_progress)
         write_sweep(Layout(done), few, write_curve)
-        planned = ("plan", many.experiment, "--profile", PROFILE, "--seeds", str(SEEDS), "--experiments", str(EXPERIMENTS))
+        planned = (
+            "plan",
+            many.experiment,
+            "--profile",
+            PROFILE,
+            "--seeds",
+            str(SEEDS),
+            "--experiments",
+            str(EXPERIMENTS),
+        )
         report = ("report", "iqm", "--results", str(done), "--replicates", str(REPLICATES))
         jobs, runs = len(many.jobs), len(few.jobs)
         return [

@@ -14,18 +14,29 @@ def write_atomically(path: Path, data: bytes) -> None:
     Raises:
         OSError: no space, no permission; the error names `path`, and the old file is untouched.
     """
+    replace(path, data, durably=True)
+
+
+def replace(path: Path, data: bytes, *, durably: bool = False) -> None:
+    """Replace `path` by `data` as a whole for every reader; only `durably` does it survive the machine's crash.
+
+    Raises:
+        OSError: as `write_atomically`.
+    """
     temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
     with naming(path):
         try:
             with temporary.open("wb") as file:
                 file.write(data)
-                file.flush()
-                os.fsync(file.fileno())
+                if durably:
+                    file.flush()
+                    os.fsync(file.fileno())
             temporary.replace(path)
         except BaseException:
             temporary.unlink(missing_ok=True)
             raise
-        sync_folder(path.parent)
+        if durably:
+            sync_folder(path.parent)
 
 
 @contextlib.contextmanager

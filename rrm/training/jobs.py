@@ -6,6 +6,7 @@ import shutil
 import time
 from collections import deque
 from collections.abc import Mapping
+from contextlib import AbstractContextManager
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Protocol
@@ -46,6 +47,9 @@ class Monitor(Protocol):
     def should_stop(self) -> bool:
         """True: write a checkpoint and return."""
 
+    def writing(self) -> AbstractContextManager[None]:
+        """Around every write into the job's folder; entering it raises where the folder belongs to another by now."""
+
 
 def perform(config: RunConfig | DemosConfig, folder: Path, monitor: Monitor, results: Results = _NOTHING) -> bool:
     """Do the job in `folder`, or go on with it; see `train` and `collect`.
@@ -83,7 +87,8 @@ def collect(config: DemosConfig, folder: Path, monitor: Monitor, results: Result
     )  # fmt: skip
     if demos is None:
         return False
-    demos.save(folder / DEMOS)
+    with monitor.writing():
+        demos.save(folder / DEMOS)
     told = demos.summary()
     monitor.note(f"{told['episodes']} episodes, {_worth(told)}")
     return True
@@ -107,18 +112,21 @@ def train(
     """
     torch.set_num_threads(config.threads)
     checkpoints = Checkpoints(folder / "checkpoint")
-    checkpoints.folder.mkdir(parents=True, exist_ok=True)
-    trainer = _restore(config, results, checkpoints, monitor)
+    with monitor.writing():  # what is damaged is set aside
+        checkpoints.folder.mkdir(parents=True, exist_ok=True)
+        trainer = _restore(config, results, checkpoints, monitor)
     try:
         finished = _Session(trainer, checkpoints, monitor, checkpoint_every_s).run()
         if finished:
             networks = trainer.networks()
-            write_atomically(folder / "model.safetensors", encode(networks))
+            with monitor.writing():
+                write_atomically(folder / "model.safetensors", encode(networks))
             _tell(networks["imitation"], monitor)
     finally:
         trainer.close()
     if finished:
-        shutil.rmtree(checkpoints.folder)
+        with monitor.writing():
+            shutil.rmtree(checkpoints.folder)
     return finished
 
 
@@ -179,7 +187,8 @@ class _Session:
                 self.monitor.row(trainer.evaluate())
                 self._log_figures()
                 if trainer.imitation is not None:
-                    trainer.imitation.publish(self.checkpoints.folder.parent)
+                    with self.monitor.writing():
+                        trainer.imitation.publish(self.checkpoints.folder.parent)
                 self._save()
             now = time.monotonic()
             if now - beat_at >= _BEAT_S:
@@ -204,8 +213,9 @@ class _Session:
         trainer = self.trainer
         if trainer.step == trainer.config.steps:
             return  # the run is over; its networks are written instead
-        state = trainer.save(self.checkpoints.folder)
-        self.checkpoints.save(trainer.step, state)
-        self._generations.append(trainer.experience.generation)
-        trainer.experience.discard(self.checkpoints.folder, self._generations)
+        with self.monitor.writing():
+            state = trainer.save(self.checkpoints.folder)
+            self.checkpoints.save(trainer.step, state)
+            self._generations.append(trainer.experience.generation)
+            trainer.experience.discard(self.checkpoints.folder, self._generations)
         self._saved_at, self._saved_step = time.monotonic(), trainer.step

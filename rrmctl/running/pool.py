@@ -22,6 +22,7 @@ from rrmctl.running.child import WORKER, Child
 from rrmctl.running.scheduler import Ending, Outcome, Phase, Scheduler
 from rrmctl.store.atomic import StorageError
 from rrmctl.store.layout import Layout
+from rrmctl.store.lease import LEASE_S, Beat, Watch
 from rrmctl.store.reader import blocked_by, run_status
 from rrmctl.store.records import ErrorKind, RunError, State, Status, record_failure
 
@@ -80,6 +81,7 @@ class Pool:
     watcher: Watcher
     retries: int = 2
     hang_after_s: float = 1800.0  #: silence after which a worker counts as hung; a feedback session may take minutes
+    lease_s: float = LEASE_S  #: silence after which the runs of other processes are taken over
     stop_after_s: float = 60.0  #: time a worker has to checkpoint and leave
     asked: Sequence[str] = ()  #: the command, for the runs' provenance
     command: Sequence[str] = WORKER
@@ -87,11 +89,13 @@ class Pool:
     _launched: set[str] = field(default_factory=set, init=False)
     _signals: int = field(default=0, init=False)
     _kill_at: float | None = field(default=None, init=False)  #: when workers that were asked to leave are ended
+    _silent: dict[str, Beat] = field(default_factory=dict, init=False)  #: runs to be taken over
     _looked: float = field(default=0.0, init=False)  #: when runs of other processes were last looked at
 
     def __post_init__(self) -> None:
         self._jobs = {assignment.id: assignment for assignment in self.assignments}
         self._selector = selectors.DefaultSelector()
+        self._watch = Watch(self.lease_s)
         requires = {assignment.id: assignment.requires for assignment in self.assignments if assignment.requires}
         self.scheduler = Scheduler(self._jobs, slots=self.slots, retries=self.retries, requires=requires)
 
@@ -123,7 +127,7 @@ class Pool:
         while (job := self.scheduler.next()) is not None:
             assignment, status = self._jobs[job], run_status(self.layout.run(job))
             settled = None if job in self._launched else _settled(assignment, status)
-            if status.state is State.RUNNING:
+            if status.state is State.RUNNING and job not in self._silent:
                 settled = Outcome(Ending.ELSEWHERE)
             if settled is not None:
                 self._conclude(job, settled)
@@ -138,6 +142,8 @@ class Pool:
 
     def _launch(self, assignment: Assignment, *, fresh: bool) -> None:
         options = ["--asked", json.dumps(list(self.asked)), *(["--fresh"] if fresh else [])]
+        if (beat := self._silent.pop(assignment.id, None)) is not None:
+            options += ["--take-over", f"{beat.owner}:{beat.count}"]
         child = Child(
             self.layout, assignment.id, threads=assignment.threads, options=options, command=self.command
         )  # fmt: skip
@@ -153,12 +159,21 @@ class Pool:
         for job in self.scheduler.elsewhere:
             status = run_status(self.layout.run(job))
             if status.state is State.RUNNING:
+                self._take_over(job)
                 continue
             settled = _settled(self._jobs[job], status)
             if settled is None:
                 self.scheduler.free(job)
             else:
                 self._conclude(job, settled)
+
+    def _take_over(self, job: str) -> None:
+        """Queue a run whose owner holds it and gives no sign of life any more."""
+        beat = self._watch.expired(self.layout.run(job))
+        if beat is not None:
+            self.watcher.note(job, f"its owner gave no sign of life for {self.lease_s:g} s; taking it over")
+            self._silent[job] = beat
+            self.scheduler.free(job)
 
     def _listen(self, wakeup: int) -> None:
         for key, _ in self._selector.select(_TICK_S):

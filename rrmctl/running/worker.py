@@ -18,6 +18,7 @@ import sys
 import time
 import traceback
 from collections.abc import Mapping, Sequence
+from contextlib import AbstractContextManager
 from enum import IntEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
@@ -27,6 +28,7 @@ from rrmctl.running.lifeline import Leave, Pipe, StopRequest, say
 from rrmctl.running.runfile import load_config
 from rrmctl.store import atomic, provenance
 from rrmctl.store.layout import Layout, RunFolder
+from rrmctl.store.lease import Beat, Lease, LeaseLostError
 from rrmctl.store.reader import read_config
 from rrmctl.store.records import ErrorKind, RunError, State, Status, read_status, write_status
 from rrmctl.store.schema import IDENTITY
@@ -68,8 +70,8 @@ class Trainer(Protocol):
 class RunMonitor:
     """Where a trainer reports to: rows into the curve, progress into the status file and up the pipe."""
 
-    def __init__(self, folder: RunFolder, status: Status, curve: CurveWriter, pipe: Pipe, stop: StopRequest) -> None:
-        self._folder = folder
+    def __init__(self, lease: Lease, status: Status, curve: CurveWriter, pipe: Pipe, stop: StopRequest) -> None:
+        self._lease = lease
         self.status = status  #: as last known, not always as last written
         self._curve = curve
         self._pipe = pipe
@@ -79,7 +81,8 @@ class RunMonitor:
     def row(self, row: EvalRow) -> None:
         """Add an evaluation to the curve; it is on disk when this returns."""
         values = dataclasses.asdict(row)
-        self._curve.add(values)
+        with self.writing():
+            self._curve.add(values)
         shown = {name: _finite(values[name]) for name in ("success", "true_return", "wall_s")}
         self._update(rows=len(self._curve), step=row.step, steps_per_s=_finite(row.steps_per_s), **shown)
         self._write()
@@ -104,6 +107,10 @@ class RunMonitor:
         """True when the run should be checkpointed and left."""
         return self._stop.requested
 
+    def writing(self) -> AbstractContextManager[None]:
+        """Around every write into the run's folder."""
+        return self._lease.writing()
+
     def close(self, state: State) -> None:
         """Record how the attempt ended."""
         self._update(state=state)
@@ -114,7 +121,8 @@ class RunMonitor:
         self.status = dataclasses.replace(self.status, **changes, heartbeat=time.time())
 
     def _write(self) -> None:
-        write_status(self._folder, self.status)
+        with self.writing():
+            write_status(self._lease.folder, self.status)
         self._written = time.monotonic()
 
 
@@ -125,20 +133,23 @@ def main(argv: Sequence[str] | None = None, trainer: Trainer | None = None) -> W
     pipe = Pipe(given.pipe)
     try:
         read_config(folder)
-        lock = atomic.try_lock(folder.lock, patience_s=1.0)  # a reader may hold it for an instant
+        lease = Lease.take(folder, patience_s=1.0, stale=given.take_over)
     except UserError as error:
         return _report(folder, error, pipe)[0]
-    if lock is None:
+    if lease is None:
         return WorkerExit.LOCKED
     try:
         with StopRequest(given.parent, pipe) as stop:
-            return _attempt(folder, given, pipe, stop, trainer)
+            return _attempt(lease, given, pipe, stop, trainer)
+    except LeaseLostError as error:
+        say(f"--- {error}; what was done here since the last write is discarded")
+        return WorkerExit.LOCKED
     except Exception as error:
         code, reason = _report(folder, error, pipe)
-        _record_failure(folder, reason)
+        _record_failure(lease, reason)
         return code
     finally:
-        os.close(lock)
+        lease.release()
 
 
 def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
@@ -150,18 +161,26 @@ def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument("--fresh", action="store_true", help="remove what the run holds first")
     parser.add_argument("--pipe", type=int, help="descriptor that takes progress, one JSON object per line")
     parser.add_argument("--parent", type=int, help="process whose death means: checkpoint and leave")
+    parser.add_argument("--take-over", type=_beat, metavar="OWNER:COUNT", help="the last sign of life of who holds it")
     parser.add_argument("--asked", type=json.loads, default=[], help="the command that asked for the run, as JSON")
     return parser.parse_args(argv)
 
 
+def _beat(text: str) -> Beat:
+    owner, _, count = text.partition(":")
+    return Beat(owner, int(count))
+
+
 def _attempt(
-    folder: RunFolder, given: argparse.Namespace, pipe: Pipe, stop: StopRequest, trainer: Trainer | None
+    lease: Lease, given: argparse.Namespace, pipe: Pipe, stop: StopRequest, trainer: Trainer | None
 ) -> WorkerExit:
-    atomic.remove_leftovers(folder.path)
-    before = _known_status(folder, pipe)
-    if before.state is State.DONE and not given.fresh:
-        return WorkerExit.DONE
-    status = _take_up(folder, before, fresh=given.fresh)
+    folder = lease.folder
+    with lease.writing():
+        atomic.remove_leftovers(folder.path)
+        before = _known_status(folder, pipe)
+        if before.state is State.DONE and not given.fresh:
+            return WorkerExit.DONE
+        status = _take_up(folder, before, fresh=given.fresh)
     say(f"--- attempt {status.attempt}, process {os.getpid()}, {time.strftime('%Y-%m-%d %H:%M:%S')}")
     pipe.send(event="start", attempt=status.attempt, rows=status.rows)
     try:
@@ -170,18 +189,22 @@ def _attempt(
             config, stored = load_config(folder), read_config(folder)
             status = dataclasses.replace(status, steps=config.steps)
             identity = {"run": folder.id, **{name: stored[name] for name in IDENTITY if name != "run"}}
-            curve = CurveWriter(folder, identity, expected=status.rows)
-            finished = _finished(folder, curve, config)
+            with lease.writing():  # what is damaged is set aside
+                curve = CurveWriter(folder, identity, expected=status.rows)
+                finished = _finished(folder, curve, config)
             if not finished:
                 trainer = trainer or _library(config.threads)
                 facts = provenance.collect(stored, trainer.fingerprint(config), given.asked, status.attempt)
-                for change in provenance.record(folder, facts):
+                with lease.writing():
+                    changes = provenance.record(folder, facts)
+                for change in changes:
                     pipe.note(f"differs from the attempt before: {change}")
     except Leave:
-        write_status(folder, dataclasses.replace(status, state=State.INTERRUPTED, heartbeat=time.time()))
+        with lease.writing():
+            write_status(folder, dataclasses.replace(status, state=State.INTERRUPTED, heartbeat=time.time()))
         say(f"--- {State.INTERRUPTED} before training began")
         return WorkerExit.STOPPED
-    monitor = RunMonitor(folder, status, curve, pipe, stop)
+    monitor = RunMonitor(lease, status, curve, pipe, stop)
     if not finished:
         assert trainer is not None
         results = {run: Layout(given.results).run(run).path for run in config.requires}
@@ -260,12 +283,13 @@ def _report(folder: RunFolder, error: Exception, pipe: Pipe) -> tuple[WorkerExit
     return code, reason
 
 
-def _record_failure(folder: RunFolder, reason: RunError) -> None:
+def _record_failure(lease: Lease, reason: RunError) -> None:
     state = State.INTERRUPTED if reason.kind is ErrorKind.STORAGE else State.FAILED
     try:
-        status = dataclasses.replace(read_status(folder), state=state, error=reason, heartbeat=time.time())
-        write_status(folder, status)
-    except UserError as problem:
+        with lease.writing():
+            status = read_status(lease.folder)
+            write_status(lease.folder, dataclasses.replace(status, state=state, error=reason, heartbeat=time.time()))
+    except (UserError, LeaseLostError) as problem:
         _log(f"--- the status could not be recorded: {problem}\n")
 
 

@@ -108,7 +108,10 @@ def try_lock(path: Path, patience_s: float = 0.0) -> int | None:
     while True:
         try:
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            return descriptor
+            if is_open_at(descriptor, path):
+                return descriptor
+            os.close(descriptor)  # the file was replaced meanwhile; the lock is the one behind the name
+            return try_lock(path, deadline - time.monotonic())
         except BlockingIOError:
             if time.monotonic() >= deadline:
                 os.close(descriptor)
@@ -117,6 +120,14 @@ def try_lock(path: Path, patience_s: float = 0.0) -> int | None:
         except OSError as error:
             os.close(descriptor)
             raise storage_error(path, error) from error
+
+
+def is_open_at(descriptor: int, path: Path) -> bool:
+    """Whether the open file is the one that `path` names."""
+    try:
+        return os.path.samestat(os.fstat(descriptor), path.stat())
+    except FileNotFoundError:
+        return False
 
 
 @contextlib.contextmanager

@@ -5,7 +5,7 @@ runs/<id>/provenance.json     versions, machine, code and environment it ran wit
 runs/<id>/curve.parquet       one row per evaluation
 runs/<id>/status.json         state, attempt, progress, error
 runs/<id>/log.txt             everything the worker printed
-runs/<id>/lock                held by the worker while it owns the run
+runs/<id>/lock, guard, lease.json    who owns the run, see `rrmctl.store.lease`
 runs/<id>/checkpoint/         the trainer's own, gone when the run is done
 runs/<id>/model.safetensors   the final networks
 runs/<id>/demos.safetensors   the demonstrations, of a run that collects them
@@ -73,6 +73,16 @@ class RunFolder:
     def lock(self) -> Path:
         """Empty; what counts is who holds it."""
         return self.path / "lock"
+
+    @property
+    def guard(self) -> Path:
+        """Empty; held for the moment of a write, see `rrmctl.store.lease`."""
+        return self.path / "guard"
+
+    @property
+    def lease(self) -> Path:
+        """The owner's signs of life."""
+        return self.path / "lease.json"
 
     @property
     def checkpoint(self) -> Path:

@@ -112,7 +112,7 @@ def test_killed_with_sigkill_it_goes_on(tiny, recorder, networks, tmp_path):
     straight = recorder()
     train(config, tmp_path / "a", straight)
     script = textwrap.dedent("""
-        import os, signal, sys
+        import contextlib, os, signal, sys
         from pathlib import Path
         from rrm.training.config import RunConfig
         from rrm.training.jobs import train
@@ -121,6 +121,7 @@ def test_killed_with_sigkill_it_goes_on(tiny, recorder, networks, tmp_path):
             def row(self, row): pass
             def note(self, message): pass
             def beat(self, *_): pass
+            def writing(self): return contextlib.nullcontext()
             def should_stop(self):
                 self.steps += 1
                 if self.steps == 190:

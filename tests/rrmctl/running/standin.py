@@ -89,14 +89,17 @@ class Trainer:
             if step % config.evaluation.every == 0:
                 monitor.row(row(step, config.seed))
                 if step < config.steps:
-                    save(checkpoint, step)
+                    with monitor.writing():
+                        save(checkpoint, step)
             if step == config.steps // 2 + 5 and behaviour != "train":
                 misbehave(behaviour, folder, monitor)
             if monitor.should_stop():
-                save(checkpoint, step)
+                with monitor.writing():
+                    save(checkpoint, step)
                 return False
-        (folder / "model.safetensors").write_bytes(b"")
-        checkpoint.unlink(missing_ok=True)
+        with monitor.writing():
+            (folder / "model.safetensors").write_bytes(b"")
+            checkpoint.unlink(missing_ok=True)
         return True
 
 

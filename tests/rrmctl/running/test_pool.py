@@ -402,3 +402,25 @@ def test_the_environment_of_a_worker() -> None:
     assert (told["OMP_NUM_THREADS"], told["OPENBLAS_NUM_THREADS"], told["MUJOCO_GL"]) == ("2", "2", "disabled")
     assert "PYOPENGL_PLATFORM" not in told
     assert worker_environment(1, {"MUJOCO_GL": "egl"})["MUJOCO_GL"] == "egl"
+
+
+@pytest.mark.slow
+def test_a_stopped_worker_loses_its_run_and_discards_its_work(tmp_path: Path, behave: Callable[..., None]) -> None:
+    """SIGSTOP of a worker: another parent ends its run after a lease; the worker wakes, writes nothing and leaves."""
+    behave(other="gate")
+    layout, assigned = prepare(tmp_path, range(1))
+    with parent(tmp_path, 1, 1) as one:
+        (pid,) = half_way(layout, assigned)
+        os.kill(pid, signal.SIGSTOP)
+        go(layout)
+        watcher = Record()
+        assert pool(layout, assigned, watcher, lease_s=1.0).run() is Exit.DONE
+        files = layout.run(assigned[0].id)
+        before = {path: path.stat().st_mtime_ns for path in files.path.rglob("*") if path != files.log}
+        os.kill(pid, signal.SIGCONT)
+        assert one.wait() == 0
+    assert any("no sign of life" in note for note in watcher.notes)
+    assert before == {path: path.stat().st_mtime_ns for path in files.path.rglob("*") if path != files.log}
+    assert "belongs to another process" in "\n".join(log_tail(files))
+    assert rows(tmp_path) == expected(range(1))
+    assert attempts(layout, assigned) == [2]

@@ -1,0 +1,168 @@
+"""Who may write into a run's folder: the holder of its lock, for as long as it shows signs of life.
+
+    lock        held by the owner until it ends; the system frees the lock of a process that dies, at once
+    lease.json  the owner's token and a count that it raises every few seconds
+    guard       held for the moment of every write into the folder, under which the owner sees that it still owns it
+
+A process that is stopped (SIGSTOP, a frozen container) does not die and keeps its lock. Whoever has watched one and
+the same count for `LEASE_S` of its own clock may take the run over: under the guard it puts its own token into the
+lease and a new file in the place of the lock. Should the other one wake, its next write finds a foreign token and does
+not happen.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import json
+import os
+import secrets
+import threading
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from rrm.files import replace
+from rrmctl.store.atomic import is_open_at, storage_error, try_lock
+from rrmctl.store.layout import RunFolder
+
+#: How often the owner raises its count, seconds.
+BEAT_S = 2.0
+#: How long others watch a count that does not change before they take the run over, seconds.
+LEASE_S = 30.0
+
+
+class LeaseLostError(Exception):
+    """Another process owns the run by now: what this one did since its last write is not worth keeping."""
+
+
+@dataclass(frozen=True)
+class Beat:
+    """Contents of `lease.json`."""
+
+    owner: str
+    count: int
+
+
+def read_beat(folder: RunFolder) -> Beat | None:
+    """The last sign of life; None where there is none, or none that can be read."""
+    try:
+        value = json.loads(folder.lease.read_bytes())
+        return Beat(str(value["owner"]), int(value["count"]))
+    except (OSError, ValueError, TypeError, KeyError):
+        return None
+
+
+class Lease:
+    """Ownership of a run, from `take` until `release`. Signs of life are given by a thread of its own."""
+
+    def __init__(self, folder: RunFolder, lock: int) -> None:
+        """Args: lock: the descriptor that holds the run's lock. Under the guard, or with nobody else about."""
+        self.folder = folder  #: of the run
+        self._lock = lock
+        self._owner = secrets.token_hex(8)
+        self._count = 0
+        self._released = threading.Event()
+        self._write()
+        threading.Thread(target=self._live, daemon=True).start()
+
+    @classmethod
+    def take(cls, folder: RunFolder, *, patience_s: float = 0.0, stale: Beat | None = None) -> Lease | None:
+        """Become the owner, or None where another process is.
+
+        Args:
+            patience_s: to wait for the lock, seconds; readers hold it for an instant.
+            stale: the sign of life that nothing has followed for `LEASE_S`: its owner is not waited for.
+
+        Raises:
+            StorageError: the folder takes no write.
+        """
+        lock = try_lock(folder.lock, patience_s)
+        if lock is not None:
+            with _guarded(folder):
+                if is_open_at(lock, folder.lock):
+                    return cls(folder, lock)
+            os.close(lock)  # the run was taken over while nobody had it
+        return None if stale is None else cls._take_over(folder, stale)
+
+    @classmethod
+    def _take_over(cls, folder: RunFolder, stale: Beat) -> Lease | None:
+        guard = try_lock(folder.guard)
+        if guard is None:
+            return None  # it is writing, or was stopped in the middle of it: what it writes must be whole first
+        try:
+            if read_beat(folder) != stale:
+                return None  # it lives, or somebody else was quicker
+            folder.lock.unlink(missing_ok=True)
+            lock = try_lock(folder.lock)
+            return None if lock is None else cls(folder, lock)
+        finally:
+            os.close(guard)
+
+    @contextlib.contextmanager
+    def writing(self) -> Iterator[None]:
+        """Around every write into the run's folder, and not inside another one.
+
+        Raises:
+            LeaseLostError: the run belongs to another process; nothing may be written.
+        """
+        with _guarded(self.folder):
+            beat = read_beat(self.folder)
+            # One that is gone is not ours either: whoever took the run over has finished with it.
+            if beat is None or beat.owner != self._owner:
+                raise LeaseLostError(f"{self.folder.id} belongs to another process by now")
+            yield
+
+    def release(self) -> None:
+        """Leave the run to others."""
+        self._released.set()
+        with contextlib.suppress(LeaseLostError, OSError), self.writing():
+            self.folder.lease.unlink(missing_ok=True)
+        os.close(self._lock)
+
+    def _live(self) -> None:
+        while not self._released.wait(BEAT_S):
+            try:
+                with self.writing():
+                    self._write()
+            except (LeaseLostError, OSError):
+                # The next write will find out; where there is no space for a beat there is none for a row.
+                continue
+
+    def _write(self) -> None:
+        self._count += 1
+        try:
+            replace(self.folder.lease, json.dumps({"owner": self._owner, "count": self._count}).encode())
+        except OSError as error:
+            raise storage_error(self.folder.lease, error) from error
+
+
+class Watch:
+    """Looks at the leases of other processes, by this process' own clock."""
+
+    def __init__(self, lease_s: float = LEASE_S) -> None:
+        self._lease_s = lease_s
+        self._seen: dict[str, tuple[Beat | None, float]] = {}
+
+    def expired(self, folder: RunFolder) -> Beat | None:
+        """The owner's last sign of life, once nothing has followed it for the length of a lease."""
+        beat, now = read_beat(folder), time.monotonic()
+        before, since = self._seen.get(folder.id, (None, now))
+        if beat is None or beat != before:
+            self._seen[folder.id] = (beat, now)
+            return None
+        return beat if now - since >= self._lease_s else None
+
+
+@contextlib.contextmanager
+def _guarded(folder: RunFolder) -> Iterator[None]:
+    """Hold the guard, waiting for it as long as it takes."""
+    try:
+        descriptor = os.open(folder.guard, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o666)
+    except OSError as error:
+        raise storage_error(folder.guard, error) from error
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX)
+        yield
+    finally:
+        os.close(descriptor)
