@@ -20,7 +20,7 @@ import safetensors
 import safetensors.numpy
 import torch
 
-from rrm.errors import CheckpointError, ConfigError
+from rrm.errors import CheckpointError, ConfigError, NumericalError
 from rrm.files import naming, sync_folder, write_atomically
 from rrm.types import State
 
@@ -39,6 +39,20 @@ def encode(state: State) -> bytes:
     arrays: dict[str, np.ndarray[Any, Any]] = {}
     tree = _split(state, "state", arrays)
     return safetensors.numpy.save(arrays, {"tree": json.dumps(tree)})
+
+
+def check_finite(state: State) -> None:
+    """Refuse a state in which training has diverged: nothing good could come of going on with it.
+
+    Raises:
+        NumericalError: a tensor of floating-point numbers holds NaN or infinity; the message names it.
+    """
+    tensors: dict[str, np.ndarray[Any, Any]] = {}
+    _split(state, "state", tensors)
+    for path, values in tensors.items():
+        bad = values.size - np.isfinite(values).sum() if values.dtype.kind == "f" else 0
+        if bad:
+            raise NumericalError(f"{path.removeprefix('state/')} is not finite in {bad:,} of {values.size:,} numbers")
 
 
 def decode(data: bytes) -> State:

@@ -13,7 +13,8 @@ from typing import Any, Protocol
 
 import torch
 
-from rrm.checkpoint import KEPT, Checkpoints, encode
+from rrm.checkpoint import KEPT, Checkpoints, check_finite, encode
+from rrm.errors import NumericalError, PriorError
 from rrm.files import write_atomically
 from rrm.training.build import DEMOS, Results, result_of
 from rrm.training.config import RunConfig
@@ -179,6 +180,15 @@ class _Session:
         self._generations = deque([trainer.experience.generation], maxlen=KEPT)  # of the checkpoints that are kept
 
     def run(self) -> bool:
+        try:
+            return self._run()
+        except (NumericalError, PriorError) as error:
+            last = (
+                f"the last good checkpoint is of step {self._saved_step:,}" if self._saved_step else "no checkpoint yet"
+            )
+            raise type(error)(f"{error} (at step {self.trainer.step:,}; {last})") from error
+
+    def _run(self) -> bool:
         trainer, config = self.trainer, self.trainer.config
         beat_at, beat_step = time.monotonic(), trainer.step
         while trainer.step < config.steps:
@@ -214,6 +224,7 @@ class _Session:
         if trainer.step == trainer.config.steps:
             return  # the run is over; its networks are written instead
         with self.monitor.writing():
+            check_finite(trainer.weights())
             state = trainer.save(self.checkpoints.folder)
             self.checkpoints.save(trainer.step, state)
             self._generations.append(trainer.experience.generation)

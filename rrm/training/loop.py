@@ -96,6 +96,8 @@ class Trainer:
             reward = self.imitation.look(self._obs, act, next_obs, terminated=terminated)
         else:
             reward = self._reward(self._obs, act, prior, true_reward)
+        if not np.isfinite(reward):
+            raise NumericalError(f"step {self.step}: the reward is {reward}; the prior says {prior}")
         self.experience.append(
             obs=self._obs, act=act, prior=prior, raw_prior=raw, true_reward=true_reward,
             reward=reward, next_obs=next_obs, terminated=terminated, truncated=truncated,
@@ -257,6 +259,11 @@ class Trainer:
         self.step, self._obs, self._row_transition = int(loop["step"]), loop["obs"], int(loop["row_transition"])
         self._return, self._length = float(loop["return"]), int(loop["length"])
         self.streams.load_state_dict(state["streams"])
+
+    def weights(self) -> State:
+        """What training changes step by step, and what must stay finite."""
+        reward = None if self.sessions is None else self.sessions.learner.reward.state_dict()
+        return {"actor": self.agent.actor.flat, "critic": self.agent.critic.flat, "reward": reward}
 
     def networks(self) -> State:
         """What a finished run leaves behind: the agent and, where there is one, the learned reward or the prior."""

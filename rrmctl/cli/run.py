@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import sys
 from collections.abc import Iterable, Sequence
+from functools import partial
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -46,6 +47,12 @@ WorkersOption = Annotated[
     int | None,
     typer.Option("--workers", "-j", min=1, help="Jobs at a time, one core each. Default: every core there is."),
 ]
+MemoryOption = Annotated[
+    float | None,
+    typer.Option(
+        "--memory", min=0.1, metavar="GIB", help="A job that takes more is ended and goes on from its checkpoint."
+    ),
+]
 RetryOption = Annotated[bool, typer.Option("--retry-failed", help="Try failed runs again, from their checkpoint.")]
 
 
@@ -58,6 +65,7 @@ def run(
     overrides: SetOption = None,
     prior: PriorOption = None,
     workers: WorkersOption = None,
+    memory: MemoryOption = None,
     results: ResultsOption = DEFAULT_RESULTS,
     experiments: ExperimentsOption = DEFAULT_EXPERIMENTS,
     retry_failed: RetryOption = False,
@@ -103,7 +111,7 @@ def run(
         _assignment(job_record(job), expected.states[job.id], job.config.threads, fresh=job.id in anew)
         for job in chosen
     ]
-    code = _run(console, layout, assigned, slots)
+    code = _run(console, layout, assigned, slots, memory)
     finish(layout, code, [sweep])
 
 
@@ -112,6 +120,7 @@ def resume(
         str | None, typer.Argument(metavar="[NAME]", help="Only this experiment. Default: all in the results folder.")
     ] = None,
     workers: WorkersOption = None,
+    memory: MemoryOption = None,
     results: ResultsOption = DEFAULT_RESULTS,
     retry_failed: RetryOption = False,
 ) -> None:
@@ -136,7 +145,8 @@ def resume(
         total = runs(len(sweep.everything))
         console.print(f"{sweep.experiment} ({sweep.variant}): {count} of {total} to go", soft_wrap=True)
     assigned = [_assignment(job, states[job.id], _threads(layout, job), fresh=False) for job in chosen]
-    code = _run(console, layout, assigned, workers or _default_slots(job.threads for job in assigned))
+    slots = workers or _default_slots(job.threads for job in assigned)
+    code = _run(console, layout, assigned, slots, memory)
     finish(layout, code, sweeps, damaged=bool(damage))
 
 
@@ -213,21 +223,24 @@ def _threads(layout: Layout, job: JobRecord) -> int:
         return 1
 
 
-def _run(console: Console, layout: Layout, assigned: Sequence[Assignment], slots: int) -> Exit:
+def _run(
+    console: Console, layout: Layout, assigned: Sequence[Assignment], slots: int, memory_gib: float | None
+) -> Exit:
     """Run the jobs, shown as bars at a terminal and as lines elsewhere."""
     from rrmctl.cli.live import Bars, Lines
     from rrmctl.running.pool import Pool
 
-    asked = ["rrmctl", *sys.argv[1:]]
     if not assigned:
         return Exit.DONE
+    pool = partial(
+        Pool, layout=layout, assignments=assigned, slots=slots, asked=["rrmctl", *sys.argv[1:]],
+        memory_limit=None if memory_gib is None else int(memory_gib * 2**30),
+    )  # fmt: skip
     if not sys.stderr.isatty() or console.is_dumb_terminal:
-        return Pool(
-            layout=layout, assignments=assigned, slots=slots, watcher=Lines(console, layout, assigned), asked=asked
-        ).run()
+        return pool(watcher=Lines(console, layout, assigned)).run()
     bars = Bars(console, layout, assigned)
     with bars.progress:
-        return Pool(layout=layout, assignments=assigned, slots=slots, watcher=bars, asked=asked).run()
+        return pool(watcher=bars).run()
 
 
 def _progress_console() -> Console:

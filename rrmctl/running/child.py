@@ -10,6 +10,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 from rrmctl.running.scheduler import Ending, Outcome
@@ -48,7 +49,7 @@ class Child:
         self.job = job
         self.heard = time.monotonic()  #: when the last message arrived
         self.error: RunError | None = None  #: as the worker told it
-        self.hung = False  #: it was ended for its silence
+        self.ended_for: RunError | None = None  #: why its parent ended it
         self.open = True  #: its pipe is
         self._text = b""  # of a line that is not complete
         reading, writing = os.pipe()
@@ -104,6 +105,20 @@ class Child:
         with contextlib.suppress(ProcessLookupError, PermissionError):  # nobody is left in the group
             os.killpg(self._process.pid, signal.SIGKILL)
 
+    def memory(self) -> int | None:
+        """Resident memory in bytes; None where the system has no /proc, or the process is gone."""
+        try:
+            pages = int(Path(f"/proc/{self._process.pid}/statm").read_text().split()[1])
+        except (OSError, IndexError):
+            return None
+        return pages * os.sysconf("SC_PAGE_SIZE")
+
+    def end(self, kind: ErrorKind, reason: str) -> None:
+        """Kill it for this reason."""
+        if self.ended_for is None:
+            self.ended_for = RunError(kind=kind, type=kind.capitalize(), message=f"{reason} and was ended")
+            self.kill()
+
     def wait(self) -> None:
         """Wait for its end."""
         self._process.wait()
@@ -127,8 +142,8 @@ class Child:
 
     def _unspoken(self, code: int) -> RunError:
         """Why a worker is gone that could not say so itself."""
-        if self.hung:
-            return RunError(kind=ErrorKind.HUNG, type="Hung", message="gave no sign of life and was ended")
+        if self.ended_for is not None:
+            return self.ended_for
         if code >= 0:
             return RunError(kind=ErrorKind.CRASHED, type="Exit", message=f"left with exit code {code}")
         told = f"killed by signal {-code}"

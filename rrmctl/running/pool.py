@@ -83,6 +83,7 @@ class Pool:
     hang_after_s: float = 1800.0  #: silence after which a worker counts as hung; a feedback session may take minutes
     lease_s: float = LEASE_S  #: silence after which the runs of other processes are taken over
     stop_after_s: float = 60.0  #: time a worker has to checkpoint and leave
+    memory_limit: int | None = None  #: bytes that a worker may take; None: as much as there is
     asked: Sequence[str] = ()  #: the command, for the runs' provenance
     command: Sequence[str] = WORKER
     _children: dict[str, Child] = field(default_factory=dict, init=False)
@@ -90,6 +91,7 @@ class Pool:
     _signals: int = field(default=0, init=False)
     _kill_at: float | None = field(default=None, init=False)  #: when workers that were asked to leave are ended
     _silent: dict[str, Beat] = field(default_factory=dict, init=False)  #: runs to be taken over
+    _weighed: float = field(default=0.0, init=False)  #: when the memory of workers was last looked at
     _looked: float = field(default=0.0, init=False)  #: when runs of other processes were last looked at
 
     def __post_init__(self) -> None:
@@ -112,7 +114,7 @@ class Pool:
                     self._look_elsewhere()
                     self._start_waiting()
                     self._listen(wakeup)
-                    self._end_silent()
+                    self._end_misbehaving()
                     self._obey()
                     self._reap()
                     self.watcher.tick()
@@ -204,11 +206,20 @@ class Pool:
             case "error":
                 child.error = RunError.from_json(message)
 
-    def _end_silent(self) -> None:
+    def _end_misbehaving(self) -> None:
+        """End workers that are silent for too long, and those that take too much memory."""
+        now = time.monotonic()
         for child in self._children.values():
-            if not child.hung and time.monotonic() - child.heard > self.hang_after_s:
-                child.hung = True
-                child.kill()
+            if now - child.heard > self.hang_after_s:
+                child.end(ErrorKind.HUNG, "gave no sign of life")
+        if self.memory_limit is None or now - self._weighed < _POLL_S:
+            return
+        self._weighed = now
+        for child in self._children.values():
+            memory = child.memory()
+            if memory is not None and memory > self.memory_limit:
+                taken, limit = (f"{each / 2**30:.2f} GiB" for each in (memory, self.memory_limit))
+                child.end(ErrorKind.MEMORY, f"took {taken} of memory, {limit} are allowed,")
 
     def _on_signal(self) -> None:
         self._signals += 1

@@ -43,7 +43,7 @@ class Outcome:
 
 
 #: Failures worth another attempt. The others would fail again in the same way.
-RETRIED = frozenset({ErrorKind.CRASHED, ErrorKind.KILLED, ErrorKind.HUNG})
+RETRIED = frozenset({ErrorKind.CRASHED, ErrorKind.KILLED, ErrorKind.HUNG, ErrorKind.MEMORY})
 
 
 class Scheduler:

@@ -43,6 +43,7 @@ class ErrorKind(StrEnum):
     CRASHED = "crashed"  #: an exception nobody foresaw
     KILLED = "killed"  #: ended by a signal
     HUNG = "hung"  #: gave no sign of life and was ended
+    MEMORY = "memory"  #: took more memory than it may and was ended
     STORAGE = "storage"  #: the results folder took no write
     BLOCKED = "blocked"  #: a run that it needs has failed
 

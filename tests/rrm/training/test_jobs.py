@@ -6,9 +6,12 @@ import sys
 import textwrap
 
 import pytest
+import torch
 
-from rrm.config import MrnConfig, SurfConfig, TeacherConfig
+from rrm.config import EvaluationConfig, MrnConfig, SurfConfig, TeacherConfig
+from rrm.errors import NumericalError
 from rrm.training.jobs import train
+from rrm.training.loop import Trainer
 
 METHODS = [
     {"learner": "true"},
@@ -145,3 +148,32 @@ def test_a_finished_run_keeps_its_networks_only(tiny, recorder, tmp_path):
     """The experience of a finished run is not kept."""
     train(tiny(), tmp_path, recorder())
     assert [path.name for path in tmp_path.iterdir()] == ["model.safetensors"]
+
+
+@pytest.mark.parametrize(
+    ("what", "told"),
+    [
+        ("critic", r"critic is not finite in [\d,]+ of [\d,]+ numbers \(at step 200; the last good .* of step 100\)"),
+        ("reward", r"step 250: the reward is nan; .* \(at step 250; the last good checkpoint is of step 200\)"),
+    ],
+)
+def test_numbers_that_are_not_finite_stop_the_run(tiny, recorder, tmp_path, monkeypatch, what, told):
+    """The message names step, tensor and the last good checkpoint; that one is used when the cause is gone."""
+    advance = Trainer.advance
+
+    def poisoned(trainer):
+        advance(trainer)
+        if what == "critic" and trainer.step == 200:
+            trainer.agent.critic.flat[0] = torch.nan
+        elif what == "reward" and trainer.step == 250:
+            weights = trainer.weights()["reward"]["weights"]
+            trainer.sessions.learner.reward.load_state_dict({"weights": torch.full_like(weights, torch.nan)})
+
+    config = tiny(steps=300, evaluation=EvaluationConfig(every=100, episodes=1))
+    monkeypatch.setattr(Trainer, "advance", poisoned)
+    with pytest.raises(NumericalError, match=told):
+        train(config, tmp_path, recorder())
+    monkeypatch.undo()
+    again = recorder()
+    assert train(config, tmp_path, again)
+    assert any("continuing from the checkpoint of step" in note for note in again.notes)

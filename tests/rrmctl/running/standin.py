@@ -131,6 +131,10 @@ def misbehave(behaviour: str, folder: Path, monitor: worker.RunMonitor) -> None:
             while True:
                 with contextlib.suppress(InterruptedError):
                     time.sleep(60)
+        case "leak" if first:
+            leak = bytearray(300 * 2**20)
+            leak[::4096] = b"x" * len(leak[::4096])
+            time.sleep(60)
         case "orphan":
             child = subprocess.Popen(["sleep", "600"])
             (folder / "orphan").write_text(str(child.pid))

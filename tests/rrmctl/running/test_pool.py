@@ -6,6 +6,7 @@ import contextlib
 import dataclasses
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -424,3 +425,16 @@ def test_a_stopped_worker_loses_its_run_and_discards_its_work(tmp_path: Path, be
     assert "belongs to another process" in "\n".join(log_tail(files))
     assert rows(tmp_path) == expected(range(1))
     assert attempts(layout, assigned) == [2]
+
+
+@pytest.mark.slow
+def test_a_worker_that_takes_too_much_memory_is_ended_and_goes_on(tmp_path: Path, behave: Callable[..., None]) -> None:
+    """It is tried again from its checkpoint, and the reason names what it took and what it may."""
+    behave(other="leak")
+    layout, assigned = prepare(tmp_path, range(1))
+    watcher = Record()
+    assert pool(layout, assigned, watcher, memory_limit=256 * 2**20).run() is Exit.DONE
+    (error,) = watcher.errors
+    assert re.fullmatch(r"Memory: took 0\.\d\d GiB of memory, 0\.25 GiB are allowed, and was ended", error)
+    assert watcher.notes == ["from step 0", "from step 20"]
+    assert rows(tmp_path) == expected(range(1))

@@ -44,7 +44,7 @@ def test_all_done_is_exit_0() -> None:
     assert scheduler.exit_code() is Exit.DONE
 
 
-@pytest.mark.parametrize("kind", [ErrorKind.CRASHED, ErrorKind.KILLED, ErrorKind.HUNG])
+@pytest.mark.parametrize("kind", [ErrorKind.CRASHED, ErrorKind.KILLED, ErrorKind.HUNG, ErrorKind.MEMORY])
 def test_a_crash_is_tried_again_behind_the_others_and_not_for_ever(kind: ErrorKind) -> None:
     """Two retries: the third crash is the end, and costs no other job."""
     scheduler = Scheduler("ab", slots=1)
