@@ -154,6 +154,7 @@ class Checkpoints:
     def __init__(self, folder: Path) -> None:
         self.folder = folder
         self.skipped: list[str] = []  #: what `load` found damaged, newest first, for the log
+        self.newest = 0  #: step of the newest checkpoint that `load` met, damaged or not
 
     def save(self, step: int, state: State) -> None:
         """Write the state of `step` and commit it; older ones than the newest two go.
@@ -183,8 +184,9 @@ class Checkpoints:
             ConfigError: the checkpoint was written in another format.
             OSError: a file cannot be read now; nothing is set aside.
         """
-        self.skipped = []
-        for marker in self._markers():
+        self.skipped, markers = [], self._markers()
+        self.newest = int(markers[0].stem.removeprefix("state-")) if markers else 0
+        for marker in markers:
             try:
                 step, state = self._read(marker)
                 restore(state)

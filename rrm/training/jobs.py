@@ -159,7 +159,8 @@ def _restore(config: RunConfig, results: Results, checkpoints: Checkpoints, moni
     for damage in checkpoints.skipped:
         monitor.note(f"checkpoint set aside: {damage}")
     if step is not None:
-        monitor.note(f"continuing from the checkpoint of step {step}")
+        again = f"; {checkpoints.newest - step:,} steps are trained again" if checkpoints.skipped else ""
+        monitor.note(f"continuing from the checkpoint of step {step}{again}")
     elif checkpoints.skipped:
         monitor.note("no usable checkpoint is left: starting again from step 0")
         trainer.close()

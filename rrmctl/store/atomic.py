@@ -8,7 +8,8 @@ import fcntl
 import json
 import os
 import time
-from collections.abc import Iterator
+import zlib
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -51,26 +52,45 @@ def write_bytes(path: Path, data: bytes) -> None:
         raise storage_error(path, error) from error
 
 
-def write_json(path: Path, value: Any) -> None:
-    """`write_bytes` of `value` as indented JSON. Raises ValueError on NaN, which JSON does not have."""
-    write_bytes(path, (json.dumps(value, indent=1, allow_nan=False) + "\n").encode())
+def write_json(path: Path, value: Mapping[str, Any]) -> None:
+    """`write_bytes` of `value` as indented JSON, its last line a checksum over those before.
+
+    Raises:
+        ValueError: it holds NaN, which JSON does not have.
+    """
+    assert value  # an empty object has no last line to put it behind
+    body = json.dumps(value, indent=1, allow_nan=False).removesuffix("\n}").encode()
+    write_bytes(path, body + _CHECKSUM % zlib.crc32(body))
+
+
+#: The end of a file of at least one entry. One without it was written by hand, or by an earlier version.
+_CHECKSUM = b',\n "checksum": "%08x"\n}\n'
+_LENGTH = len(_CHECKSUM % 0)
 
 
 def read_json(path: Path) -> dict[str, Any] | None:
     """The object in `path`; None where there is no such file.
 
     Raises:
-        DamagedError: the file cannot be read or does not hold a JSON object.
+        DamagedError: the file cannot be read, does not hold a JSON object, or not the one its checksum is of.
     """
     try:
         with path.open("rb") as file:
-            value = json.loads(file.read())
+            data = file.read()
+        value = json.loads(data)
     except (FileNotFoundError, NotADirectoryError):
         return None
     except (OSError, ValueError) as error:
         raise DamagedError(f"{path} cannot be read: {error}", "move it away; what it recorded is made again") from error
     if not isinstance(value, dict):
         raise DamagedError(f"{path} does not hold a JSON object", "move it away; what it recorded is made again")
+    if value.pop("checksum", None) is not None and data[-_LENGTH:].startswith(_CHECKSUM[:14]):
+        body = data[:-_LENGTH]
+        if data[-_LENGTH:] != _CHECKSUM % zlib.crc32(body):
+            raise DamagedError(
+                f"{path} is damaged: its content does not match its checksum",
+                "move it away; what it recorded is made again",
+            )
     return value
 
 

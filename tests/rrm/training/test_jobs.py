@@ -103,6 +103,8 @@ def test_damaged_checkpoints_cost_steps_not_the_run(tiny, recorder, networks, tm
     rest = recorder()
     assert train(tiny(), tmp_path / "b", rest)
     assert any("set aside" in note for note in rest.notes)
+    again = ["starting again from step 0"] if damage == "all" else ["of step 250; 150 steps are trained again"]
+    assert any(note.endswith(tuple(again)) for note in rest.notes)
     together = recorder()
     together.rows = first.rows | second.rows | rest.rows
     assert straight.numbers() == together.numbers()
