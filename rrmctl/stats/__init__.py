@@ -13,16 +13,23 @@ from rrmctl.stats.bootstrap import (
 )
 from rrmctl.stats.compare import difference, improvement, probability_of_improvement
 from rrmctl.stats.curves import CommonStep, area_under_curve, common_step
+from rrmctl.stats.outlook import Outlook, outlook
 from rrmctl.stats.profiles import performance_profile
+from rrmctl.stats.sequential import Comparison, Decision, Design, Verdict, sequential_test
 
 __all__ = [
     "MIN_RUNS",
     "REPLICATES",
     "CommonStep",
+    "Comparison",
+    "Decision",
+    "Design",
     "Estimate",
     "IntervalKind",
     "Iqm",
     "IqmKind",
+    "Outlook",
+    "Verdict",
     "area_under_curve",
     "bootstrap",
     "common_step",
@@ -34,8 +41,10 @@ __all__ = [
     "mean",
     "median",
     "optimality_gap",
+    "outlook",
     "performance_profile",
     "probability_of_improvement",
     "quartiles",
     "resample",
+    "sequential_test",
 ]
