@@ -18,7 +18,6 @@ from rrmctl.reports.series import NOTHING_ASKED, Floats, Label, Section, Series,
 from rrmctl.stats import Comparison, Design, Verdict, area_under_curve, sequential_test
 from rrmctl.store.trials import Pairing, Trial
 
-
 #: The number of each run, by seed.
 Scores = dict[int, float]
 
