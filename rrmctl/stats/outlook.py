@@ -16,9 +16,9 @@ from rrmctl.stats.aggregate import Floats
 from rrmctl.stats.bootstrap import interval_possible
 from rrmctl.stats.sequential import Comparison, Design, Verdict, sequential_test
 
-FUTURES = 200
-#: Enough to see where the level of a look lies; the test itself takes more.
-_PERMUTATIONS = 2000
+FUTURES = 100
+#: Sequences of splits: so many of them lie beyond the boundaries by the last look, but no more than these in all.
+_CROSSING, _MOST = 20, 4000
 
 
 @dataclass(frozen=True)
@@ -54,7 +54,7 @@ def outlook(
     ours, theirs = (np.asarray(each, dtype=np.float64) for each in (comparison.ours, comparison.theirs))
     if not interval_possible([len(ours), len(theirs)]):
         return Outlook(np.nan, None)
-    quick = replace(design, permutations=min(design.permutations, _PERMUTATIONS))
+    quick = replace(design, permutations=min(design.permutations, _MOST, round(_CROSSING / design.alpha)))
     ends = []
     for _ in range(futures):
         imagined = Comparison(_future(ours, design.seeds, rng), _future(theirs, design.seeds, rng))

@@ -105,28 +105,32 @@ def sequential_test(comparisons: Sequence[Comparison], design: Design) -> list[V
         left = [at for at, each in enumerate(tested) if at not in verdicts and each.looks >= looks]
         for _ in comparisons:  # one that is decided leaves the others a larger share of the level
             level = design.alpha / max(1, len(tested) - sum(each.separated for each in verdicts.values()))
-            verdicts |= {at: tested[at].separated(looks) for at in left if tested[at].crosses(looks, level)}
+            verdicts |= {at: tested[at].separated(looks) for at in left if 0 < tested[at].crossing(level) <= looks}
             left = [at for at in left if at not in verdicts]
-        ending = [at for at in left if looks == design.looks or tested[at].is_close(looks)]
+        ending = [at for at in left if looks == design.looks or 0 < tested[at].giving_up() <= looks]
         verdicts |= {at: tested[at].verdict("equal", looks) for at in ending}
     return [verdicts.get(at, each.verdict("open", each.looks)) for at, each in enumerate(tested)]
 
 
-def boundaries(statistics: Sequence[Floats], looks: int, level: float) -> tuple[list[float], npt.NDArray[np.bool_]]:
-    """What a statistic must exceed at each look, and which sequences of splits ever do.
+def boundaries(statistics: Sequence[Floats], looks: int, level: float) -> tuple[list[float], npt.NDArray[np.int64]]:
+    """What a statistic must exceed at each look, and at which look each sequence of splits first does.
 
     Args:
         statistics: of every sequence at the looks so far, [B] each.
         looks: that there may be in all.
         level: share of the sequences that may exceed a boundary by the last look; so much of it as has passed, by now.
+
+    Returns:
+        a boundary for each look so far, and [B] numbers of looks from one up, zero for never.
     """
-    bounds, crossed = [], np.zeros(len(statistics[0]), dtype=bool)
+    bounds: list[float] = []
+    first = np.zeros(len(statistics[0]), dtype=np.int64)
     for look, values in enumerate(statistics, start=1):
-        staying = values[~crossed]
-        room = int(level * look / looks * len(values) + 1e-9) - int(crossed.sum())
-        bounds.append(-np.inf if room >= len(staying) else float(-np.partition(-staying, room)[room]))
-        crossed |= values > bounds[-1]
-    return bounds, crossed
+        staying = np.flatnonzero(first == 0)
+        room = int(level * look / looks * len(values) + 1e-9) - (len(values) - len(staying))
+        bounds.append(-np.inf if room >= len(staying) else float(-np.partition(-values[staying], room)[room]))
+        first[staying[values[staying] > bounds[-1]]] = look
+    return bounds, first
 
 
 class _Tested:
@@ -136,6 +140,7 @@ class _Tested:
         self._design = design
         self._ours, self._theirs = (_scores(each) for each in (comparison.ours, comparison.theirs))
         self.looks = min(len(self._ours), len(self._theirs), design.seeds) // design.group
+        self._crossings: dict[float, int] = {}
         signs = sequences(design.group, design.looks, design.permutations, design.seed)
         sums = np.zeros(len(signs[0]))
         self._statistics = []
@@ -143,17 +148,22 @@ class _Tested:
             here = slice(look * design.group, (look + 1) * design.group)
             sums = sums + signs[look] @ np.concatenate([self._ours[here], self._theirs[here]])
             # In units in which equal sums are equal numbers, however they were rounded on the way.
-            unit = 1e-9 * max(np.abs(self._ours[: here.stop]).max(), np.abs(self._theirs[: here.stop]).max(), 1e-300)
+            unit = 1e-9 * max(np.abs(self._ours[: here.stop]).max(), np.abs(self._theirs[: here.stop]).max(), 1e-290)
             self._statistics.append(np.round(np.abs(sums) / unit))
 
-    def crosses(self, looks: int, level: float) -> bool:
-        """Whether what was seen, the first sequence, is among those that exceed a boundary by now."""
-        return bool(boundaries(self._statistics[:looks], self._design.looks, level)[1][0])
+    def crossing(self, level: float) -> int:
+        """At which look what was seen, the first sequence, exceeds its boundary; zero for not yet."""
+        if level not in self._crossings:
+            first = boundaries(self._statistics, self._design.looks, level)[1]
+            self._crossings[level] = int(first[0])
+        return self._crossings[level]
 
-    def is_close(self, looks: int) -> bool:
-        """Whether it is among the smallest, of which a share may be given up."""
-        smallest = [-each for each in self._statistics[:looks]]
-        return bool(boundaries(smallest, self._design.looks, self._design.accept)[1][0])
+    def giving_up(self) -> int:
+        """At which look it is among the smallest, of which a share may be given up; zero for not yet."""
+        if self._design.accept == 0.0:
+            return 0
+        first = boundaries([-each for each in self._statistics], self._design.looks, self._design.accept)[1]
+        return int(first[0])
 
     def separated(self, looks: int) -> Verdict:
         """The verdict after these looks, in favour of the better one."""
