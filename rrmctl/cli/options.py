@@ -82,6 +82,20 @@ PriorOption = Annotated[
         help="Add the residual method on this prior to the experiment. Repeatable.",
     ),
 ]
+UntilDecidedOption = Annotated[
+    bool,
+    typer.Option("--until-decided", help="Run seeds in groups until it is decided which methods differ; see above."),
+]
+MaxSeedsOption = Annotated[
+    int | None, typer.Option("--max-seeds", min=1, metavar="N", help="With --until-decided: seeds 0 to N-1 at most.")
+]
+GroupOption = Annotated[
+    int | None, typer.Option("--group", min=2, max=8, help="With --until-decided: seeds between two looks. Default: 5.")
+]
+AgainstOption = Annotated[
+    str | None,
+    typer.Option("--against", metavar="METHOD", help="With --until-decided: compare with this. Default: the first."),
+]
 
 
 def split_names(values: list[str] | None) -> list[str] | None:

@@ -14,8 +14,11 @@ from rrmctl.cli.finish import finish
 from rrmctl.cli.options import (
     DEFAULT_EXPERIMENTS,
     DEFAULT_RESULTS,
+    AgainstOption,
     ExperimentArgument,
     ExperimentsOption,
+    GroupOption,
+    MaxSeedsOption,
     MethodsOption,
     PriorOption,
     ProfileOption,
@@ -23,6 +26,7 @@ from rrmctl.cli.options import (
     SeedsOption,
     SetOption,
     TasksOption,
+    UntilDecidedOption,
 )
 from rrmctl.cli.progress import runs
 from rrmctl.cli.request import Request, forecast, in_words, job_record, smaller
@@ -33,7 +37,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from rrmctl.cli.request import Forecast
-    from rrmctl.planning.plan import Plan
+    from rrmctl.planning.plan import Job, Plan
     from rrmctl.running.pool import Assignment
     from rrmctl.store.layout import Layout
     from rrmctl.store.records import JobRecord, Status, SweepRecord
@@ -73,11 +77,19 @@ def run(
         bool, typer.Option("--force", help="Train the named runs again from nothing; what they hold is removed.")
     ] = False,
     yes: Annotated[bool, typer.Option("--yes", "-y", help="Do not ask before a large sweep.")] = False,
+    until: UntilDecidedOption = False,
+    max_seeds: MaxSeedsOption = None,
+    group: GroupOption = None,
+    against: AgainstOption = None,
 ) -> None:
     """Run an experiment, or go on with it: runs that are done are skipped, interrupted ones continue.
 
     Ctrl-C once lets every job write a checkpoint and leave; twice ends them at once. Any number of `run`s may share a
     results folder: they divide the jobs between them.
+
+    With --until-decided every method is compared with one of them on every task, by its seeds' mean scores over
+    training, after each group of seeds; what is decided runs no further seeds. The probability of any wrong decision is
+    at most 5 % over all comparisons and looks, for rules that are fixed at the first call.
 
     Examples:
 
@@ -88,11 +100,16 @@ def run(
       rrmctl run main-results --tasks button-press --methods pebble,rrm-proxy --seeds 0,3,7 --workers 2
 
       rrmctl run toy-car --set agent.batch=256 --prior my_priors.py:closer
+
+      rrmctl run toy-car --until-decided --max-seeds 20 --against pebble
     """
-    from rrmctl.store.reader import new_results
+    from rrmctl.cli.deciding import asked_rules, until_decided
+    from rrmctl.store.reader import new_results, statuses
     from rrmctl.store.records import readable_sweeps
 
     console = _progress_console()
+    rules = asked_rules(until, max_seeds, group, against, other=seeds is not None or force)
+    seeds = str(rules.most) if rules else seeds
     request = Request(name, experiments, profile, seeds, tasks, methods, overrides, prior)
     layout = new_results(results)
     plan = request.plan()
@@ -100,18 +117,26 @@ def run(
     slots = workers or _default_slots(job.config.threads for job in plan.everything)
     expected = forecast(plan, layout)
     _introduce(console, request, _from_nothing(expected) if force else expected, slots)
+    if rules:
+        console.print(f"  note: at most; what is decided after a group of {rules.group} seeds runs no more of them")
     anew = {job.id for job in plan.jobs} if force else set()
-    chosen = [
-        job for job in plan.everything if job.id in anew or _is_open(expected.states[job.id], retry_failed=retry_failed)
-    ]
-    if chosen and expected.hours_left > _LARGE_H and not yes and _asks() and not typer.confirm("Start?", err=True):
+
+    def wanted(job: Job, status: Status) -> bool:
+        return job.id in anew or _is_open(status, retry_failed=retry_failed)
+
+    def execute(part: Plan) -> tuple[Exit, SweepRecord]:
+        sweep, states = _record(console, layout, part), statuses(layout, part.everything)
+        assigned = [
+            _assignment(job_record(job), states[job.id], job.config.threads, fresh=job.id in anew)
+            for job in part.everything
+            if wanted(job, states[job.id])
+        ]
+        return _run(console, layout, assigned, slots, memory), sweep
+
+    large = expected.hours_left > _LARGE_H and any(wanted(job, expected.states[job.id]) for job in plan.everything)
+    if large and not yes and _asks() and not typer.confirm("Start?", err=True):
         raise typer.Exit(Exit.INCOMPLETE)
-    sweep = _record(console, layout, plan)
-    assigned = [
-        _assignment(job_record(job), expected.states[job.id], job.config.threads, fresh=job.id in anew)
-        for job in chosen
-    ]
-    code = _run(console, layout, assigned, slots, memory)
+    code, sweep = until_decided(layout, plan, rules, execute) if rules else execute(plan)
     finish(layout, code, [sweep])
 
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 import json
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -21,6 +22,7 @@ from rrmctl.planning.manifest import nearest
 from rrmctl.reports.series import Absent, Label, Section, Series, by_seed
 from rrmctl.store.layout import Layout
 from rrmctl.store.reader import load, open_results, planned, read_config
+from rrmctl.store.trials import read_trial
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -45,7 +47,8 @@ def read_sections(results: str | Path, experiment: str | None = None) -> tuple[S
         raise UserError(f'{layout.root} holds no runs of "{experiment}"{near}', f"it holds: {', '.join(known)}{start}")
     rows, jobs = load(results, experiment), planned(results, experiment)
     # Runs that no sweep asked for have no labels to be reported under.
-    return sections(rows[rows["experiment"] != ""], jobs, evaluation=_evaluation(layout, rows))
+    found = sections(rows[rows["experiment"] != ""], jobs, evaluation=_evaluation(layout, rows))
+    return tuple(replace(each, trial=read_trial(layout, each.experiment, each.variant)) for each in found)
 
 
 def of_profile(found: Sequence[Section], profile: str | None) -> tuple[Section, ...]:

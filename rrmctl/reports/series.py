@@ -12,6 +12,7 @@ import numpy.typing as npt
 from rrm.envs.tasks import Score
 from rrmctl.errors import UserError
 from rrmctl.stats import CommonStep, common_step
+from rrmctl.store.trials import Trial
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -121,6 +122,7 @@ class Section:
     planned: int  #: runs that were asked for
     evaluation: tuple[str, ...]  #: the protocol behind the scores; several where methods differ
     problems: tuple[str, ...]  #: what had to be left out of a series, and why
+    trial: Trial | None = None  #: the rules of the sequential test that was begun on it
 
     @property
     def contained(self) -> int:

@@ -82,7 +82,7 @@ def statistics_notes(section: Section, settings: Settings) -> Iterator[str]:
     yield (
         f"Interval: {100 * LEVEL:g} % percentile bootstrap over seeds with tasks as strata, {settings.replicates:,} "
         f"replicates, generator seed {BOOTSTRAP_SEED}; none below 3 seeds. With few seeds it covers less than its name "
-        "says: about 79-91 % with 5. The 25-75 % range is the spread of the seeds, not an interval."
+        "says: about 84-92 % with 5. The 25-75 % range is the spread of the seeds, not an interval."
     )
     for protocol in section.evaluation:
         yield f"Evaluation: {protocol}."

@@ -1,24 +1,50 @@
 """Statistics over runs: plain arrays in, small frozen results out. Imports nothing but numpy."""
 
-from rrmctl.stats.aggregate import Iqm, IqmKind, iqm, mean, median, quartiles
-from rrmctl.stats.bootstrap import MIN_RUNS, REPLICATES, Estimate, bootstrap, estimate, interval_possible, resample
+from rrmctl.stats.aggregate import Iqm, IqmKind, iqm, mean, median, optimality_gap, quartiles
+from rrmctl.stats.bootstrap import (
+    MIN_RUNS,
+    REPLICATES,
+    Estimate,
+    IntervalKind,
+    bootstrap,
+    estimate,
+    interval_possible,
+    resample,
+)
+from rrmctl.stats.compare import difference, improvement, probability_of_improvement
 from rrmctl.stats.curves import CommonStep, area_under_curve, common_step
+from rrmctl.stats.outlook import Outlook, outlook
+from rrmctl.stats.profiles import performance_profile
+from rrmctl.stats.sequential import Comparison, Decision, Design, Verdict, sequential_test
 
 __all__ = [
     "MIN_RUNS",
     "REPLICATES",
     "CommonStep",
+    "Comparison",
+    "Decision",
+    "Design",
     "Estimate",
+    "IntervalKind",
     "Iqm",
     "IqmKind",
+    "Outlook",
+    "Verdict",
     "area_under_curve",
     "bootstrap",
     "common_step",
+    "difference",
     "estimate",
+    "improvement",
     "interval_possible",
     "iqm",
     "mean",
     "median",
+    "optimality_gap",
+    "outlook",
+    "performance_profile",
+    "probability_of_improvement",
     "quartiles",
     "resample",
+    "sequential_test",
 ]

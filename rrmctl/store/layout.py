@@ -11,6 +11,7 @@ runs/<id>/model.safetensors   the final networks
 runs/<id>/demos.safetensors   the demonstrations, of a run that collects them
 runs/<id>/gradients.parquet   norms of gradients, of a run that fine-tunes an imitation reward
 sweeps/<experiment>/<variant>.json   what `run` was asked for
+trials/<experiment>/<variant>.json   the rules of `run --until-decided`
 aggregates/<experiment>.parquet      interquartile mean curves
 
 Whatever else lies in these folders (a copy, a note, a system's own files) is nobody's run or sweep and is ignored.
@@ -141,6 +142,10 @@ class Layout:
     def experiments(self) -> list[str]:
         """Experiments with a sweep record, sorted. What is not a folder with an experiment's name is ignored."""
         return _names(self.root / "sweeps", lambda entry: entry.is_dir())
+
+    def trial(self, experiment: str, variant: str) -> Path:
+        """The rules of a sequential test of one variant of an experiment."""
+        return self.root / "trials" / _checked("experiment", experiment) / f"{_checked('variant', variant)}.json"
 
     def aggregate(self, experiment: str) -> Path:
         """The interquartile mean curves of an experiment."""

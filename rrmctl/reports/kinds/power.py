@@ -1,0 +1,130 @@
+"""Which methods are separated so far, and how many more seeds would likely decide.
+
+Each pair of methods of a task: the difference of their interquartile means,
+the probability that a run of the one beats a run of the other, the decision
+of a sequential test, and where it is open, how many seeds more would likely
+separate them. Of every run its mean score over training is compared. The
+rules are those of `rrmctl run NAME --until-decided` where that was begun.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from rrmctl.reports.contests import Contest, Contests, decide
+from rrmctl.reports.document import NOTHING, Grid, Report, interval, number
+from rrmctl.reports.series import Section
+from rrmctl.reports.settings import BOOTSTRAP_SEED, LEVEL, Settings
+from rrmctl.reports.words import contents_notes, facts, statistics_notes, title
+from rrmctl.stats import Iqm, difference, improvement, outlook
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+EXPERIMENT = None
+
+#: The test's decisions in words, about the method as against the other.
+DECISIONS = {"larger": "better", "smaller": "worse", "equal": "not separated", "open": "open"}
+
+COLUMNS = (
+    "task", "teacher", "feedback", "method", "against", "score", "n", "n_against", "difference", "low", "high",
+    "improvement", "improvement_low", "improvement_high", "decision", "seeds", "more", "chance",
+)  # fmt: skip
+
+
+def make(sections: Sequence[Section], settings: Settings) -> list[Report]:
+    """A table for each section."""
+    return [_report(section, settings) for section in sections]
+
+
+def _report(section: Section, settings: Settings) -> Report:
+    import pandas as pd
+
+    found = decide(section, section.trial)
+    rows = [_row(each, found, settings) for each in found.contests if each.ours.size]
+    table = pd.DataFrame(rows, columns=list(COLUMNS)).astype({"more": "Int64"})
+    known = facts(section, settings) | {"test": _rules(section, found)}
+    return Report(title(section), table, _grid(table, found), tuple(_notes(section, found, settings)), known)
+
+
+def _row(contest: Contest, contests: Contests, settings: Settings) -> dict[str, Any]:
+    both, verdict = ([contest.ours], [contest.theirs]), contest.verdict
+    rng = [np.random.default_rng([BOOTSTRAP_SEED, stream]) for stream in range(3)]
+    apart = difference(*both, Iqm(settings.kind), rng=rng[0], replicates=settings.replicates, level=LEVEL)
+    wins = improvement(*both, rng=rng[1], replicates=settings.replicates, level=LEVEL)
+    ahead = outlook(contest.tested, verdict, contests.remaining, rng=rng[2]) if verdict.decision == "open" else None
+    return {
+        **contest.pair._asdict(), "score": contest.score, "n": contest.ours.size, "n_against": contest.theirs.size,
+        "difference": float(apart.estimate), "low": float(apart.low), "high": float(apart.high),
+        "improvement": float(wins.estimate), "improvement_low": float(wins.low), "improvement_high": float(wins.high),
+        "decision": DECISIONS[verdict.decision], "seeds": verdict.looks * contests.design.group,
+        "more": ahead.more if ahead else None, "chance": ahead.share if ahead else np.nan,
+    }  # fmt: skip
+
+
+def _grid(table: pd.DataFrame, contests: Contests) -> Grid:
+    """The table for people; columns that say nothing are left out."""
+    columns: dict[str, Sequence[str]] = {"Task": list(table["task"])}
+    for name in ("teacher", "feedback"):
+        if (table.groupby("task")[name].nunique() > 1).any():
+            columns[name.capitalize()] = list(table[name])
+    columns |= {"Method": list(table["method"]), "Against": list(table["against"])}
+    words, rows = len(columns), table.to_dict("records")
+    columns["n"] = [f"{row['n']}:{row['n_against']}" for row in rows]
+    columns["Difference"] = [number(row["difference"], row["score"]) for row in rows]
+    columns["95 % interval"] = [interval(row["low"], row["high"], row["score"], row["n"]) for row in rows]
+    columns["P(better)"] = [number(row["improvement"], "success") for row in rows]
+    columns["its 95 %"] = [
+        interval(row["improvement_low"], row["improvement_high"], "success", row["n"]) for row in rows
+    ]
+    columns["Decision"] = [_decision(row) for row in rows]
+    columns["More seeds"] = [_more(row, contests.design.seeds) for row in rows]
+    return Grid.of(columns, words=words)
+
+
+def _decision(row: dict[Any, Any]) -> str:
+    return f"{row['decision']} ({row['seeds']})" if row["seeds"] else row["decision"]
+
+
+def _more(row: dict[Any, Any], most: int) -> str:
+    """`5 (80 % by 20)`, where so many seeds more are likely enough and there may be 20 in all."""
+    if np.isnan(row["chance"]):
+        return NOTHING
+    fewest = min(row["n"], row["n_against"])
+    likely = f"{row['more']}" if isinstance(row["more"], int) else f"> {max(0, most - fewest)}"
+    return f"{likely} ({100 * row['chance']:.0f} % by {most})"
+
+
+def _rules(section: Section, contests: Contests) -> dict[str, Any]:
+    design = contests.design
+    return {
+        "group": design.group, "looks": design.looks, "alpha": design.alpha, "comparisons": len(contests.contests),
+        "fixed_in_advance": section.trial is not None,
+    }  # fmt: skip
+
+
+def _notes(section: Section, contests: Contests, settings: Settings) -> Iterator[str]:
+    yield from contents_notes(section)
+    design = contests.design
+    yield (
+        "Compared is each seed's mean score over training. Difference: interquartile mean of the method minus that of "
+        "the other, seeds unpaired. P(better): a run of the method beats one of the other, ties by half."
+    )
+    yield (
+        f"Decision: group-sequential permutation test of the means after every {design.group} seeds, at most "
+        f"{design.looks} times, Holm's step-down over {len(contests.contests)} comparisons, error rate "
+        f"{100 * design.alpha:g} % for all of them together; in brackets the seeds it took."
+    )
+    if section.trial is None:
+        yield (
+            "No rules were fixed before these runs (`rrmctl run NAME --until-decided --max-seeds N` fixes them): the "
+            "error rate holds only if how many seeds there are did not follow from what they showed."
+        )
+    yield (
+        f"More seeds: after so many, half of the futures imagined from the runs so far are decided; in brackets the "
+        f"share by {design.seeds} seeds. A help for planning that believes the runs so far, too hopeful with few."
+    )
+    yield from statistics_notes(section, settings)

@@ -1,0 +1,185 @@
+"""When are there enough seeds? A group-sequential permutation test of several comparisons, after AdaStop.
+
+After every group of n seeds of each method one looks at the comparisons that are still open, at most K times. The
+statistic of a comparison is the sum over the groups of the difference of the two methods' means. Splitting each group's
+scores anew between the two methods tells how large it would be if they were alike. The boundary at look k is the
+smallest that at most a share a k / K of these sequences of splits crosses at this look or before, in either direction.
+Of m comparisons the first is decided at a = alpha / m, then one at alpha / (m - 1), and so on (Holm's step-down).
+
+Groups, statistic, splits and the even spending of the level are those of Mathieu, Della Vecchia, Shilova, Centa de
+Medeiros, Kohler, Maillard and Preux, "AdaStop: adaptive statistical testing for sound comparisons of Deep RL agents",
+TMLR 2024. AdaStop's step-down compares the largest statistic with the largest under the splits, the same splits for all
+comparisons. Holm's costs some power, needs no common scale for tasks of different units, and holds for few seeds and
+scores of any shape, where the comparisons depend on one another otherwise than under common splits.
+
+What is controlled: where methods are compared whose scores have one distribution, the probability that any such
+comparison is ever decided is at most alpha. Methods that differ in spread alone are not alike: that, too, may be what
+is found. Nothing is said of how many real differences are missed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from rrmctl.stats.aggregate import Floats, checked
+from rrmctl.stats.permutations import sequences
+
+#: `larger`, `smaller`: the first method is, as against the second. `equal`: not separated by the last look, or given up
+#: before it. `open`: more seeds decide.
+Decision = Literal["larger", "smaller", "equal", "open"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Design:
+    """How often one looks and what errors one bears; fixed before the first look.
+
+    Raises:
+        ValueError: no group, look or permutation, or a share outside its range.
+    """
+
+    group: int = 5  #: seeds of each method between two looks
+    looks: int = 4  #: at most; group * looks seeds are the most that may be run
+    alpha: float = 0.05  #: probability of any wrong decision, over all comparisons and looks
+    accept: float = (
+        0.0  #: share of its splits at which a comparison is given up as equal by the last look (early accept)
+    )
+    permutations: int = 10_000  #: sequences of splits, about
+    seed: int = 0  #: of the splits that are drawn at random
+
+    def __post_init__(self) -> None:
+        if min(self.group, self.looks, self.permutations) < 1 or self.group > 8:
+            raise ValueError(f"a design has groups of 1 to 8 seeds, at least one look and one permutation: {self}")
+        if not 0.0 < self.alpha < 1.0 or not 0.0 <= self.accept < 1.0:
+            raise ValueError(f"shares of errors lie between 0 and 1: {self}")
+
+    @property
+    def seeds(self) -> int:
+        """The most seeds of a method."""
+        return self.group * self.looks
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """The scores of two methods, one a seed, in the order in which the seeds are used; [S] each."""
+
+    ours: npt.ArrayLike
+    theirs: npt.ArrayLike
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What is known of one comparison."""
+
+    decision: Decision
+    looks: int  #: after which it was decided; looks so far where it is open
+    difference: float  #: of the means, ours minus theirs, over the seeds of these looks; NaN before the first
+
+    @property
+    def separated(self) -> bool:
+        """Whether one method was found to be better."""
+        return self.decision in ("larger", "smaller")
+
+
+def sequential_test(comparisons: Sequence[Comparison], design: Design) -> list[Verdict]:
+    """Look after every full group of seeds.
+
+    The same scores give the same verdicts, and as long as all open comparisons have the same groups, further ones
+    change nothing that is decided. A comparison with fewer groups than another waits for its own; what is beyond the
+    last full group is not looked at.
+
+    Args:
+        comparisons: all that share the level, those without any seed yet among them.
+        design: fixed in advance.
+
+    Raises:
+        ValueError: scores that are not finite, or more than one a seed.
+    """
+    tested = [_Tested(each, design) for each in comparisons]
+    verdicts: dict[int, Verdict] = {}
+    for looks in range(1, design.looks + 1):
+        left = [at for at, each in enumerate(tested) if at not in verdicts and each.looks >= looks]
+        for _ in comparisons:  # one that is decided leaves the others a larger share of the level
+            level = design.alpha / max(1, len(tested) - sum(each.separated for each in verdicts.values()))
+            verdicts |= {at: tested[at].separated(looks) for at in left if 0 < tested[at].crossing(level) <= looks}
+            left = [at for at in left if at not in verdicts]
+        ending = [at for at in left if looks == design.looks or 0 < tested[at].giving_up() <= looks]
+        verdicts |= {at: tested[at].verdict("equal", looks) for at in ending}
+    return [verdicts.get(at, each.verdict("open", each.looks)) for at, each in enumerate(tested)]
+
+
+def boundaries(statistics: Sequence[Floats], looks: int, level: float) -> tuple[list[float], npt.NDArray[np.int64]]:
+    """What a statistic must exceed at each look, and at which look each sequence of splits first does.
+
+    Args:
+        statistics: of every sequence at the looks so far, [B] each.
+        looks: that there may be in all.
+        level: share of the sequences that may exceed a boundary by the last look; so much of it as has passed, by now.
+
+    Returns:
+        a boundary for each look so far, and [B] numbers of looks from one up, zero for never.
+    """
+    bounds: list[float] = []
+    first = np.zeros(len(statistics[0]), dtype=np.int64)
+    for look, values in enumerate(statistics, start=1):
+        staying = np.flatnonzero(first == 0)
+        room = int(level * look / looks * len(values) + 1e-9) - (len(values) - len(staying))
+        bounds.append(-np.inf if room >= len(staying) else float(-np.partition(-values[staying], room)[room]))
+        first[staying[values[staying] > bounds[-1]]] = look
+    return bounds, first
+
+
+class _Tested:
+    """One comparison and its statistic under every sequence of splits."""
+
+    def __init__(self, comparison: Comparison, design: Design) -> None:
+        self._design = design
+        self._ours, self._theirs = (_scores(each) for each in (comparison.ours, comparison.theirs))
+        self.looks = min(len(self._ours), len(self._theirs), design.seeds) // design.group
+        self._crossings: dict[float, int] = {}
+        signs = sequences(design.group, design.looks, design.permutations, design.seed)
+        sums = np.zeros(len(signs[0]))
+        self._statistics = []
+        for look in range(self.looks):
+            here = slice(look * design.group, (look + 1) * design.group)
+            sums = sums + signs[look] @ np.concatenate([self._ours[here], self._theirs[here]])
+            # In units in which equal sums are equal numbers, however they were rounded on the way.
+            unit = 1e-9 * max(np.abs(self._ours[: here.stop]).max(), np.abs(self._theirs[: here.stop]).max(), 1e-290)
+            self._statistics.append(np.round(np.abs(sums) / unit))
+
+    def crossing(self, level: float) -> int:
+        """At which look what was seen, the first sequence, exceeds its boundary; zero for not yet."""
+        if level not in self._crossings:
+            first = boundaries(self._statistics, self._design.looks, level)[1]
+            self._crossings[level] = int(first[0])
+        return self._crossings[level]
+
+    def giving_up(self) -> int:
+        """At which look it is among the smallest, of which a share may be given up; zero for not yet."""
+        if self._design.accept == 0.0:
+            return 0
+        first = boundaries([-each for each in self._statistics], self._design.looks, self._design.accept)[1]
+        return int(first[0])
+
+    def separated(self, looks: int) -> Verdict:
+        """The verdict after these looks, in favour of the better one."""
+        return self.verdict("larger" if self._difference(looks) > 0.0 else "smaller", looks)
+
+    def verdict(self, decision: Decision, looks: int) -> Verdict:
+        """The verdict after these looks."""
+        return Verdict(decision, looks, self._difference(looks))
+
+    def _difference(self, looks: int) -> float:
+        seeds = looks * self._design.group
+        return float(self._ours[:seeds].mean() - self._theirs[:seeds].mean()) if looks else np.nan
+
+
+def _scores(given: npt.ArrayLike) -> Floats:
+    scores = np.asarray(given, dtype=np.float64)
+    if scores.ndim != 1:
+        raise ValueError(f"a test takes one score for each seed, not an array of shape {scores.shape}")
+    return checked(scores) if scores.size else scores

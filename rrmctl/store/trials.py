@@ -1,0 +1,93 @@
+"""What `run --until-decided` fixed before its first look: rules that follow from the results control no error."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from rrmctl.errors import UserError
+from rrmctl.store import shape
+from rrmctl.store.atomic import DamagedError, locked, read_json, write_json
+from rrmctl.store.layout import Layout
+from rrmctl.store.schema import SCHEMA_VERSION
+
+
+class Pairing(NamedTuple):
+    """Two methods that are compared, and where."""
+
+    task: str
+    teacher: str  #: "-" where nothing is asked
+    feedback: str
+    method: str
+    against: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class Trial:
+    """The rules of one sequential test."""
+
+    group: int  #: seeds of each method between two looks
+    looks: int  #: at most
+    alpha: float  #: probability of any wrong decision
+    pairs: tuple[Pairing, ...]  #: the comparisons that share it
+
+    @property
+    def seeds(self) -> int:
+        """The most seeds of a method."""
+        return self.group * self.looks
+
+    def to_json(self) -> dict[str, Any]:
+        """A JSON object."""
+        pairs = [pair._asdict() for pair in self.pairs]
+        return {"schema_version": SCHEMA_VERSION, **asdict(self), "pairs": pairs}
+
+
+_TRIAL = {**dict.fromkeys(("group", "looks", "schema_version"), shape.WHOLE), "pairs": shape.LIST}
+
+
+def read_trial(layout: Layout, experiment: str, variant: str) -> Trial | None:
+    """The test of this variant; None where none was begun.
+
+    Raises:
+        DamagedError: its file is damaged.
+    """
+    path = layout.trial(experiment, variant)
+    content = read_json(path)
+    return None if content is None else _from_json(content, path)
+
+
+def begin_trial(layout: Layout, experiment: str, variant: str, trial: Trial) -> None:
+    """Write down the rules of a test, or see that they are those of the test that was begun here.
+
+    Raises:
+        UserError: a test with other rules was begun here.
+        StorageError: the results folder takes no write.
+    """
+    path = layout.trial(experiment, variant)
+    with locked(layout.sweep_lock(experiment)):
+        known = read_trial(layout, experiment, variant)
+        if known is None:
+            write_json(path, trial.to_json())
+        elif known != trial:
+            raise UserError(
+                f"{path}: a test with other rules was begun here: {_rules(known)}; now asked for: {_rules(trial)}",
+                "the options of then go on with it. Rules that change with what was seen control no error: "
+                "begin another test in another --results folder",
+            )
+
+
+def _rules(trial: Trial) -> str:
+    compared = "; ".join(dict.fromkeys(f"{pair.method} against {pair.against}" for pair in trial.pairs))
+    tasks = ", ".join(dict.fromkeys(pair.task for pair in trial.pairs))
+    return f"groups of {trial.group} seeds, at most {trial.seeds}, {compared} on {tasks}"
+
+
+def _from_json(content: dict[str, Any], path: Path) -> Trial:
+    hint = "move it away to begin another test, whose error rate then no longer counts the looks of this one"
+    shape.check(content, _TRIAL, path, hint)
+    try:
+        pairs = tuple(Pairing(**pair) for pair in content["pairs"])
+        return Trial(group=content["group"], looks=content["looks"], alpha=float(content["alpha"]), pairs=pairs)
+    except (KeyError, TypeError, ValueError) as problem:
+        raise DamagedError(f"{path} is damaged: {problem}", hint) from problem

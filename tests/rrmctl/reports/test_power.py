@@ -1,0 +1,142 @@
+import numpy as np
+import pytest
+from scipy.stats import mannwhitneyu, trim_mean
+
+from rrmctl.reports.contests import decide, every_pair
+from rrmctl.reports.kinds import kinds
+from rrmctl.reports.kinds.power import COLUMNS, make
+from rrmctl.reports.render import to_text
+from rrmctl.reports.select import sections
+from rrmctl.reports.settings import Settings
+from rrmctl.store.trials import Pairing, Trial
+from tests.rrmctl.reports.frames import RISING, SATURATED, Sweep
+
+QUICK = Settings(replicates=300)
+FEEDBACK = ("oracle", "50@5000/5000")
+
+
+def section(**options):
+    (found,) = sections(*Sweep(**options).frames())
+    return found
+
+
+def report(found):
+    return make([found], QUICK)[0]
+
+
+def row(found, method, against):
+    table = found.table
+    return table[(table["method"] == method) & (table["against"] == against)].iloc[0]
+
+
+def areas(method, steps=4):
+    return np.trapezoid(np.array(RISING[method])[:, :steps], axis=1) / (steps - 1)
+
+
+def runs(level, count, seed):
+    """Flat curves about a level."""
+    return [[score] * 4 for score in np.random.default_rng(seed).normal(level, 0.05, count)]
+
+
+def test_it_is_a_command():
+    """The module is found, and its docstring is its help."""
+    assert "how many more seeds would likely decide" in kinds()["power"].help
+
+
+def test_every_pair_is_a_row_with_its_difference():
+    """Interquartile means of the runs' areas, and how often a run of one beats one of the other."""
+    found = report(section())
+    assert list(found.table.columns) == list(COLUMNS)
+    assert list(zip(found.table["method"], found.table["against"], strict=True)) == [
+        ("pebble", "oracle"), ("rrm-proxy", "oracle"), ("rrm-proxy", "pebble")
+    ]  # fmt: skip
+    each = row(found, "rrm-proxy", "pebble")
+    ours, theirs = areas("rrm-proxy"), areas("pebble")
+    assert each["difference"] == pytest.approx(trim_mean(ours, 0.25) - trim_mean(theirs, 0.25))
+    assert each["improvement"] == pytest.approx(mannwhitneyu(ours, theirs, alternative="greater").statistic / 25)
+    assert each["low"] < each["difference"] < each["high"]
+    assert (each["n"], each["n_against"]) == (5, 5)
+
+
+def test_five_seeds_are_open_and_have_an_outlook():
+    """Clearly apart, but three comparisons share the level: five seeds cannot decide, ten likely do."""
+    each = row(report(section()), "pebble", "oracle")
+    assert (each["decision"], each["seeds"], each["more"]) == ("open", 5, 5)
+    assert each["chance"] > 0.9
+
+
+def test_ten_seeds_decide_what_is_apart():
+    """Decided methods have no outlook, those that are alike have little of one."""
+    curves = {"pebble": runs(0.3, 10, 1), "rrm-proxy": runs(0.8, 10, 2), "surf": runs(0.3, 10, 3)}
+    found = report(section(curves=curves))
+    apart, alike = row(found, "rrm-proxy", "pebble"), row(found, "surf", "pebble")
+    assert (apart["decision"], apart["seeds"]) == ("better", 10)
+    assert np.isnan(apart["chance"])
+    assert (alike["decision"], alike["chance"] < 0.5) == ("open", True)
+    assert "worse (10)" in to_text([found], "markdown")
+
+
+@pytest.mark.parametrize("curves", [SATURATED, {name: curve[:2] for name, curve in RISING.items()}])
+def test_saturated_and_few_runs_are_told_as_they_are(curves):
+    """All seeds at 100 %: no width. Two seeds: no interval, no decision, no outlook."""
+    found = report(section(curves=curves))
+    each = row(found, "rrm-proxy", "pebble")
+    text = to_text([found], "markdown")
+    if curves is SATURATED:
+        assert (each["difference"], each["low"], each["high"], each["improvement"]) == (0.0, 0.0, 0.0, 0.5)
+        assert (each["decision"], each["chance"]) == ("open", 0.0)
+    else:
+        assert np.isnan(each["low"])
+        assert (each["decision"], each["seeds"]) == ("open", 0)
+        assert "n < 3" in text
+
+
+def test_runs_under_way_are_not_looked_at():
+    """Only what is done has a score over training."""
+    states = {("button-press", "pebble", seed): "running" for seed in range(5)}
+    found = report(section(states=states))
+    assert set(found.table["method"]) | set(found.table["against"]) == {"oracle", "rrm-proxy"}
+
+
+def test_a_missing_seed_holds_up_its_group():
+    """Ten planned, the third of one method failed: what comes after it waits, so that no order is made up later."""
+    curves = {"pebble": runs(0.3, 10, 1), "rrm-proxy": runs(0.8, 10, 2)}
+    complete = row(report(section(curves=curves)), "rrm-proxy", "pebble")
+    failed = {("button-press", "pebble", 2): "failed"}
+    lacking = row(report(section(curves=curves, states=failed)), "rrm-proxy", "pebble")
+    assert (complete["decision"], complete["seeds"]) == ("better", 5)
+    assert (lacking["decision"], lacking["seeds"], lacking["n_against"]) == ("open", 0, 9)
+
+
+def test_a_trial_sets_the_rules():
+    """Its pairs, its groups and its level; other pairs have no row, and the note about rules is gone."""
+    curves = {"pebble": runs(0.3, 8, 1), "rrm-proxy": runs(0.8, 8, 2), "surf": runs(0.3, 8, 3)}
+    (found,) = sections(*Sweep(curves=curves).frames())
+    free = report(found)
+    pair = Pairing("button-press", *FEEDBACK, "surf", "rrm-proxy")
+    trial = Trial(group=4, looks=2, alpha=0.05, pairs=(pair,))
+    contests = decide(found, trial)
+    assert [(each.pair, each.verdict.decision, each.verdict.looks) for each in contests.contests] == [
+        (pair, "smaller", 2)
+    ]
+    assert decide(found, trial, seeds=range(4)).contests[0].verdict.decision == "open"
+    assert any("No rules were fixed" in note for note in free.notes)
+
+
+def test_pairs_of_a_task_with_two_teachers_are_two():
+    """What asks nothing is compared under each of the teachers."""
+    labels = [series.label for series in section().series]
+    other = [label._replace(teacher="mistaken-10") for label in labels if label.teacher != "-"]
+    found = every_pair([*labels, *other])
+    assert len(found) == 6
+    assert {(pair.teacher, pair.against) for pair in found if pair.method == "pebble"} == {
+        ("oracle", "oracle"), ("mistaken-10", "oracle")
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize("form", ["markdown", "csv", "latex", "json"])
+def test_it_is_written_in_every_form(form):
+    """The words that must stand beside it are there."""
+    text = to_text([report(section())], form)
+    assert "rrm-proxy" in text
+    assert "open" in text
