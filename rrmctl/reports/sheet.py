@@ -1,0 +1,106 @@
+"""The outer form that all figures share: heading, a grid of panels, and below them the legend and the notes."""
+
+from __future__ import annotations
+
+import itertools
+import math
+import textwrap
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from rrmctl.reports.canvas import TEXT, WIDEST, look
+from rrmctl.reports.settings import Width
+
+if TYPE_CHECKING:
+    import numpy as np
+    import numpy.typing as npt
+    from matplotlib.artist import Artist
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+#: In font sizes. Long handles, or the marker would hide the gap of a dashed line.
+_LEGEND: dict[str, Any] = {"borderaxespad": 0.2, "columnspacing": 1.4, "handlelength": 3.2}
+_NOTE_SIZE: dict[Width, float] = {"column": 5.5, "page": 6.5}
+
+
+class Shape(NamedTuple):
+    """Panels of a figure."""
+
+    down: int
+    across: int
+    width: float  #: inches, of the whole figure
+    height: float  #: inches, of one panel
+
+
+def shape(panels: int, width: Width) -> Shape:
+    """Panels of equal rank in reading order: three side by side on a page, two in a column (up to three: one)."""
+    if width == "column":
+        across = 1 if panels <= 3 else 2
+        return Shape(math.ceil(panels / across), across, WIDEST[width], 2.0 if across == 1 else 1.55)
+    if panels == 1:
+        return Shape(1, 1, 4.6, 3.0)
+    across = min(panels, 3)
+    return Shape(math.ceil(panels / across), across, WIDEST[width] / 3 * across, 1.95)
+
+
+@contextmanager
+def sheet(
+    heading: str,
+    heights: Sequence[float],
+    across: int,
+    *,
+    size: Width,
+    width: float,
+    handles: Sequence[Artist],
+    notes: Iterable[str],
+) -> Iterator[tuple[Figure, npt.NDArray[np.object_]]]:
+    """An empty figure and its axes [len(heights), across], to be filled inside the `with`.
+
+    Args:
+        heading: above all panels.
+        heights: of each row of panels, inches.
+        across: panels in a row.
+        size: of the letters.
+        width: of the figure, inches.
+        handles: of the legend, labelled.
+        notes: sentences for the foot.
+    """
+    import matplotlib as mpl
+    from matplotlib.figure import Figure
+
+    point = 1 / 72
+    letters = TEXT[size]
+    columns = _legend_columns([str(each.get_label()) for each in handles], width, letters)
+    head = textwrap.wrap(heading, int(width / (0.56 * (letters + 1) * point)))
+    foot = textwrap.wrap(" ".join(notes), int(width / (0.51 * _NOTE_SIZE[size] * point)))
+    above = sum(heights) + len(head) * 1.3 * (letters + 1) * point
+    below = (
+        0.12 + 1.55 * letters * point * math.ceil(len(handles) / columns) + 1.38 * _NOTE_SIZE[size] * point * len(foot)
+    )
+    with mpl.rc_context(look(size)):
+        figure = Figure(figsize=(width, above + below), layout="constrained")
+        strips: Any = figure.subfigures(2, 1, height_ratios=(above, below))
+        upper, lower = strips
+        upper.suptitle("\n".join(head), fontsize=letters + 1)
+        grid = upper.subplots(len(heights), across, squeeze=False, gridspec_kw={"height_ratios": heights})
+        lower.legend(handles=handles, loc="upper center", ncols=columns, **_LEGEND)
+        lower.text(0.5, 0.03, "\n".join(foot), ha="center", va="bottom", fontsize=_NOTE_SIZE[size], color="#444444")
+        yield figure, grid
+
+
+def panel_title(axes: Axes, text: str, width: float, size: Width) -> None:
+    """A title that is broken where it is wider than its panel of `width` inches."""
+    axes.set_title("\n".join(textwrap.wrap(text, int(width / (0.58 * TEXT[size] / 72)))))
+
+
+def _legend_columns(labels: Sequence[str], width: float, letters: float) -> int:
+    """As many columns as fit into `width` inches, at a legend of letters of this many points."""
+    handle, letter, gap = (each * letters / 8 for each in (0.47, 0.059, 0.16))
+    for columns in range(len(labels), 1, -1):
+        rows, longer = divmod(len(labels), columns)  # matplotlib gives its first columns one more
+        starts = [column * rows + min(column, longer) for column in range(columns + 1)]
+        widest = [max(map(len, labels[start:end])) for start, end in itertools.pairwise(starts)]
+        if sum(handle + letter * most + gap for most in widest) - gap <= width:
+            return columns
+    return 1
