@@ -33,7 +33,7 @@ TEXT: dict[Width, float] = {"column": 7.0, "page": 8.0}
 WIDEST: dict[Width, float] = {"column": 3.3, "page": 7.0}
 
 
-def look(width: Width) -> dict[str, Any]:
+def look(width: Width) -> Any:
     """Settings of matplotlib for a figure of this width."""
     size = TEXT[width]
     sizes = {"font.size": size, "axes.titlesize": size + 0.5, "axes.labelsize": size, "legend.fontsize": size}

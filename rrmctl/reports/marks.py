@@ -7,6 +7,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
 from rrmctl.reports.series import ORACLE, Floats, Panel, Section, Series, Steps
+from rrmctl.reports.sheet import Cell
 from rrmctl.reports.styles import Style, style
 from rrmctl.reports.words import absent_notes
 from rrmctl.stats import iqm, quartiles
@@ -47,6 +48,18 @@ def curve(axes: Axes, series: Series, kind: IqmKind, position: int) -> None:
     band(axes, series.steps, values, look)
 
 
+def curves_cell(name: str, series: Sequence[Series], kind: IqmKind) -> Cell:
+    """A panel of learning curves of one score."""
+
+    def fill(axes: Axes) -> None:
+        for position, each in enumerate(series):
+            curve(axes, each, kind, position)
+        score_axis(axes, series[0].score)
+        step_axis(axes, max(int(each.steps[-1]) for each in series))
+
+    return Cell(name, UNITS[series[0].score], fill)
+
+
 def scaled(series: Series) -> Floats:
     """The series' scores as axes show them, [S, T]: success in percent, returns as they are."""
     return 100 * series.values if series.score == "success" else series.values
@@ -68,7 +81,7 @@ def methods(series: Iterable[Series]) -> list[Line2D]:
     return [handle(style(method), f"{method} (n = {'–'.join(map(str, counts))})") for method, counts in ends.items()]
 
 
-def step_axis(axes: Axes, last: int, ticks: int = 6) -> None:
+def step_axis(axes: Axes, last: int, ticks: int = 5) -> None:
     """From zero to the last step, with ticks like 500k."""
     from matplotlib.ticker import FuncFormatter, MaxNLocator
 
@@ -100,6 +113,13 @@ def panel_name(panel: Panel, panels: Sequence[Panel]) -> str:
     if len({each.feedback for each in others}) > 1:
         parts.append(panel.feedback)
     return ", ".join(parts)
+
+
+def iqm_notes(section: Section, kind: IqmKind) -> Iterator[str]:
+    """What lines and bands are."""
+    yield f"Line: interquartile mean over seeds ({kind})."
+    if any(each.n > 1 for each in section.series):
+        yield "Band: 25 to 75 % of the seeds."
 
 
 def contents(section: Section) -> Iterator[str]:

@@ -60,6 +60,14 @@ def from_frames(draw: Callable[[Section, Settings], Figure]) -> FromFrames:
     return figure
 
 
+def nothing(section: Section, what: str) -> UserError:
+    """The refusal of a figure for which a section has `what` ("no ..."); to be raised."""
+    return UserError(
+        f"{section.experiment}, profile {section.profile}: {what} to draw",
+        f"`rrmctl run {section.experiment}` makes runs, `rrmctl plot {section.experiment}` draws what suits them",
+    )
+
+
 def one_section(rows: pd.DataFrame, jobs: pd.DataFrame | None) -> Section:
     """The section of these frames.
 

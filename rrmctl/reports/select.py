@@ -10,6 +10,7 @@ from __future__ import annotations
 import json
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -45,7 +46,8 @@ def read_sections(results: str | Path, experiment: str | None = None) -> tuple[S
         raise UserError(f'{layout.root} holds no runs of "{experiment}"{near}', f"it holds: {', '.join(known)}{start}")
     rows, jobs = load(results, experiment), planned(results, experiment)
     # Runs that no sweep asked for have no labels to be reported under.
-    return sections(rows[rows["experiment"] != ""], jobs, evaluation=_evaluation(layout, rows))
+    found = sections(rows[rows["experiment"] != ""], jobs, evaluation=_evaluation(layout, rows))
+    return tuple(replace(each, source=layout) for each in found)
 
 
 def of_profile(found: Sequence[Section], profile: str | None) -> tuple[Section, ...]:

@@ -16,6 +16,8 @@ from rrmctl.stats import CommonStep, common_step
 if TYPE_CHECKING:
     import pandas as pd
 
+    from rrmctl.store.layout import Layout
+
 Floats = npt.NDArray[np.float64]
 Steps = npt.NDArray[np.int64]
 
@@ -121,6 +123,7 @@ class Section:
     planned: int  #: runs that were asked for
     evaluation: tuple[str, ...]  #: the protocol behind the scores; several where methods differ
     problems: tuple[str, ...]  #: what had to be left out of a series, and why
+    source: Layout | None = None  #: the store it was read from, for what runs leave beside their curves
 
     @property
     def contained(self) -> int:

@@ -5,16 +5,15 @@ from __future__ import annotations
 import itertools
 import math
 import textwrap
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from rrmctl.reports.canvas import TEXT, WIDEST, look
 from rrmctl.reports.settings import Width
 
 if TYPE_CHECKING:
-    import numpy as np
-    import numpy.typing as npt
     from matplotlib.artist import Artist
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
@@ -22,6 +21,16 @@ if TYPE_CHECKING:
 #: In font sizes. Long handles, or the marker would hide the gap of a dashed line.
 _LEGEND: dict[str, Any] = {"borderaxespad": 0.2, "columnspacing": 1.4, "handlelength": 3.2}
 _NOTE_SIZE: dict[Width, float] = {"column": 5.5, "page": 6.5}
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One panel among equals."""
+
+    title: str
+    unit: str  #: of the vertical axis
+    fill: Callable[[Axes], None]
+    across: str = "Environment steps"  #: the horizontal axis
 
 
 class Shape(NamedTuple):
@@ -33,15 +42,37 @@ class Shape(NamedTuple):
     height: float  #: inches, of one panel
 
 
-def shape(panels: int, width: Width) -> Shape:
-    """Panels of equal rank in reading order: three side by side on a page, two in a column (up to three: one)."""
+def shape(panels: int, width: Width, most: int = 3) -> Shape:
+    """Panels in reading order: at most three (or `most`) side by side on a page, two in a column (up to three: one)."""
     if width == "column":
         across = 1 if panels <= 3 else 2
         return Shape(math.ceil(panels / across), across, WIDEST[width], 2.0 if across == 1 else 1.55)
     if panels == 1:
         return Shape(1, 1, 4.6, 3.0)
-    across = min(panels, 3)
+    across = min(panels, most)
     return Shape(math.ceil(panels / across), across, WIDEST[width] / 3 * across, 1.95)
+
+
+def cells_sheet(
+    heading: str, cells: Sequence[Cell], *, size: Width, handles: Sequence[Artist], notes: Iterable[str], most: int = 3
+) -> Figure:
+    """A figure of equal panels; axes are named where the neighbour's name does not hold."""
+    form = shape(len(cells), size, most)
+    with sheet(
+        heading, [form.height] * form.down, form.across, size=size, width=form.width, handles=handles, notes=notes
+    ) as (figure, grid):
+        for position, axes in enumerate(itertools.chain(*grid)):
+            axes.set_visible(position < len(cells))
+            if position >= len(cells):
+                continue
+            cell, below = cells[position], cells[position + form.across :][:1]
+            cell.fill(axes)
+            panel_title(axes, cell.title, form.width / form.across, size)
+            if not below or below[0].across != cell.across:
+                axes.set_xlabel(cell.across)
+            if position % form.across == 0 or cells[position - 1].unit != cell.unit:
+                axes.set_ylabel(cell.unit)
+    return figure
 
 
 @contextmanager
@@ -54,8 +85,8 @@ def sheet(
     width: float,
     handles: Sequence[Artist],
     notes: Iterable[str],
-) -> Iterator[tuple[Figure, npt.NDArray[np.object_]]]:
-    """An empty figure and its axes [len(heights), across], to be filled inside the `with`.
+) -> Iterator[tuple[Figure, list[list[Axes]]]]:
+    """An empty figure and its axes [len(heights)][across], to be filled inside the `with`.
 
     Args:
         heading: above all panels.
@@ -73,7 +104,7 @@ def sheet(
     letters = TEXT[size]
     columns = _legend_columns([str(each.get_label()) for each in handles], width, letters)
     head = textwrap.wrap(heading, int(width / (0.56 * (letters + 1) * point)))
-    foot = textwrap.wrap(" ".join(notes), int(width / (0.51 * _NOTE_SIZE[size] * point)))
+    foot = textwrap.wrap(" ".join(notes), int(width / (0.53 * _NOTE_SIZE[size] * point)))
     above = sum(heights) + len(head) * 1.3 * (letters + 1) * point
     below = (
         0.12 + 1.55 * letters * point * math.ceil(len(handles) / columns) + 1.38 * _NOTE_SIZE[size] * point * len(foot)
@@ -86,7 +117,7 @@ def sheet(
         grid = upper.subplots(len(heights), across, squeeze=False, gridspec_kw={"height_ratios": heights})
         lower.legend(handles=handles, loc="upper center", ncols=columns, **_LEGEND)
         lower.text(0.5, 0.03, "\n".join(foot), ha="center", va="bottom", fontsize=_NOTE_SIZE[size], color="#444444")
-        yield figure, grid
+        yield figure, grid.tolist()
 
 
 def panel_title(axes: Axes, text: str, width: float, size: Width) -> None:

@@ -1,9 +1,9 @@
 """How each method is drawn: the same in every figure, told apart without colour too.
 
 What a method's reward is built on gives colour and marker; how it uses it gives the line, and a hollow marker where
-nothing is learned: `rrm-proxy` and `sac-proxy` share a colour, one solid and filled, one dashed and hollow. A method with
-a suffix (`pebble-bfloat16`, `finetune-mse`) is a lighter, hollow one of the method it is named after, with a line of its
-own. Methods that an experiment compares stay apart for the colour-blind and in greyscale (a test measures it).
+nothing is learned: `rrm-proxy` and `sac-proxy` share a colour, one solid and filled, one dashed and hollow. A method
+with a suffix (`pebble-bfloat16`, `finetune-mse`) is a lighter, hollow one of the method it is named after, with a line
+of its own. Methods that an experiment compares stay apart for the colour-blind and in greyscale (a test measures it).
 """
 
 from __future__ import annotations
@@ -47,10 +47,12 @@ _MARKERS = ("p", "H", "8", "o", "s", "^", "D", "v")
 _SOLID: Dashes = "-"
 _DOTTED: Dashes = ":"
 _DASHED: Dashes = (0, (4, 2))
+#: The family of agents that are trained on a prior alone.
+ALONE = "sac"
 _LINES: dict[str, Dashes] = {
     "": _SOLID,
     "rrm": _SOLID,
-    "sac": _DASHED,
+    ALONE: _DASHED,
     "rrm-surf": (0, (6, 1.5, 1, 1.5)),
     "rrm-mrn": (0, (6, 1.5, 1, 1.5, 1, 1.5)),
 }
@@ -75,7 +77,7 @@ def style(method: str) -> Style:
         )
     if method == "oracle":
         return Style(colour, marker, _DOTTED, colour)
-    return Style(colour, marker, _LINES[family], "white" if family == "sac" else colour)
+    return Style(colour, marker, _LINES[family], "white" if family == ALONE else colour)
 
 
 def parts(method: str) -> tuple[str, str]:

@@ -22,7 +22,7 @@ _WHITE = _XYZ.sum(axis=1)
 
 
 def linear(srgb):
-    """sRGB in [0, 1] as linear light, [..., 3]."""
+    """Linear light of sRGB in [0, 1], [..., 3]."""
     srgb = np.asarray(srgb, dtype=float)
     return np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)
 
