@@ -1,4 +1,4 @@
-"""Point estimates over runs: interquartile mean, mean, median and the quartile band.
+"""Point estimates over runs: interquartile mean, mean, median, optimality gap and the quartile band.
 
 One run contributes one number, so a caller averages episodes first. What is not finite is refused: a missing
 measurement must be dealt with where it is known which run it belongs to.
@@ -88,6 +88,17 @@ def mean(scores: npt.ArrayLike, *, axis: int | None = None) -> Floats:
 def median(scores: npt.ArrayLike, *, axis: int | None = None) -> Floats:
     """Median along an axis or of everything; refuses what `iqm` refuses."""
     return np.asarray(np.median(checked(scores, axis), axis=-1))
+
+
+def optimality_gap(scores: npt.ArrayLike, target: float = 1.0, *, axis: int | None = None) -> Floats:
+    """By how much the runs miss a target on average; a run beyond the target counts as at it (as in rliable).
+
+    Raises:
+        ValueError: what `iqm` refuses, or a target that is not finite.
+    """
+    if not np.isfinite(target):
+        raise ValueError(f"a target is a finite score, not {target}")
+    return target - np.asarray(np.minimum(checked(scores, axis), target).mean(axis=-1))
 
 
 def quartiles(scores: npt.ArrayLike, *, axis: int | None = None) -> tuple[Floats, Floats]:

@@ -1,4 +1,4 @@
-"""Stratified percentile bootstrap over runs, with tasks as strata.
+"""Stratified bootstrap over runs, with tasks as strata: percentile intervals, and BCa.
 
 Within each task whole runs are drawn with replacement, independently of the other tasks, and the statistic is taken
 of all of them pooled (Agarwal et al. 2021, as in rliable). A run is drawn with its whole curve, so that the replicates
@@ -8,16 +8,21 @@ of neighbouring steps belong together and the area under the curve has an interv
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Literal, get_args
 
 import numpy as np
 import numpy.typing as npt
 
 from rrmctl.stats.aggregate import Floats, Iqm, checked
+from rrmctl.stats.bca import bca_levels, left_out, quantiles_at
 from rrmctl.stats.counting import Picks, count_draws, iqm_replicates
 
 #: Reduces the last axis, which holds the runs. Any function will do; of an `Iqm` the replicates come much quicker.
 Statistic = Callable[[Floats], Floats]
+
+#: How an interval is read off the replicates: their quantiles, or with the levels of `rrmctl.stats.bca`.
+IntervalKind = Literal["percentile", "bca"]
 
 #: Fewer runs than this in any stratum say nothing about spread; such an estimate gets no interval.
 MIN_RUNS = 3
@@ -36,6 +41,10 @@ class Estimate:
     n: int  #: runs, over all strata
     method: str  #: how the interval was made, or why there is none
 
+    def noting(self, remark: str) -> Estimate:
+        """The same, its method followed by a remark."""
+        return replace(self, method=f"{self.method}, {remark}")
+
 
 def bootstrap(
     strata: Sequence[npt.ArrayLike],
@@ -44,8 +53,9 @@ def bootstrap(
     rng: np.random.Generator,
     replicates: int = REPLICATES,
     level: float = 0.95,
+    kind: IntervalKind = "percentile",
 ) -> Estimate:
-    """The statistic of all runs pooled, and its percentile interval.
+    """The statistic of all runs pooled, and its interval.
 
     Args:
         strata: for each task the scores of its runs, [S] or [S, ...]; tasks may have different numbers of runs.
@@ -53,16 +63,24 @@ def bootstrap(
         rng: the only source of randomness.
         replicates: resampled data sets.
         level: nominal coverage; the true one is lower for few runs.
+        kind: see `IntervalKind`; BCa is meant for smooth statistics, and where it is not defined (saturated runs) the
+            percentile interval stands in and `method` says so.
 
     Raises:
-        ValueError: no strata, an empty one, shapes that differ beyond the runs, or a score that is not finite.
+        ValueError: no strata, an empty one, shapes that differ beyond the runs, a score that is not finite, or an
+            unknown kind.
     """
+    if kind not in get_args(IntervalKind):
+        raise ValueError(f"unknown interval {kind!r}; known: {', '.join(get_args(IntervalKind))}")
     runs = _runs_last(strata)
     draws = None
     if interval_possible([each.shape[-1] for each in runs]):
         draws = resample(strata, statistic, rng=rng, replicates=replicates)
     pooled = np.concatenate(runs, axis=-1)
-    return estimate(statistic(pooled), draws, n=pooled.shape[-1], level=level)
+    found = estimate(statistic(pooled), draws, n=pooled.shape[-1], level=level)
+    if kind == "percentile" or draws is None:
+        return found
+    return _bias_corrected(found, draws, bca_levels(found.estimate, draws, left_out(runs, statistic), level))
 
 
 def estimate(point: npt.ArrayLike, draws: Floats | None, *, n: int, level: float = 0.95) -> Estimate:
@@ -81,6 +99,20 @@ def estimate(point: npt.ArrayLike, draws: Floats | None, *, n: int, level: float
     low, high = np.quantile(draws, [tail, 1.0 - tail], axis=0)
     method = f"{100 * level:g} % percentile bootstrap, {draws.shape[0]:,} replicates"
     return Estimate(value, np.asarray(low), np.asarray(high), n, method)
+
+
+def _bias_corrected(found: Estimate, draws: Floats, levels: Floats) -> Estimate:
+    """The percentile estimate with its ends moved to these levels [2, ...], where there are any."""
+    known = np.isfinite(levels).all(axis=0)
+    low, high = np.where(known, quantiles_at(draws, np.where(known, levels, 0.5)), (found.low, found.high))
+    method = found.method.replace("percentile", "BCa")
+    if known.all():
+        return replace(found, low=low, high=high, method=method)
+    why = "BCa is not defined: all replicates on one side of it, or no run that makes a difference"
+    if not known.any():
+        return found.noting(why)
+    apart = f"percentile for {known.size - known.sum()} of {known.size} numbers where {why}"
+    return replace(found, low=low, high=high, method=method).noting(apart)
 
 
 def interval_possible(sizes: Sequence[int]) -> bool:

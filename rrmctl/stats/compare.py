@@ -1,0 +1,125 @@
+"""Two methods beside one another: the difference of a statistic, and how often one is better.
+
+Runs of two methods with equal seeds share the streams of environment and teacher, but not what is drawn from them: the
+policies differ after the first update, and with them every state, query and answer. Seeds are therefore not pairs by
+default; both methods are resampled on their own. `paired=True` draws the same seeds for both, for runs that do have
+more in common (one start network, one set of demonstrations); where they have not, it gains nothing, and with few seeds
+it takes a chance correlation for a real one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+from rrmctl.stats.aggregate import Floats, checked
+from rrmctl.stats.bootstrap import REPLICATES, Estimate, Statistic, estimate, interval_possible, resample
+from rrmctl.stats.counting import count_draws
+
+Strata = Sequence[npt.ArrayLike]
+
+
+def difference(
+    ours: Strata,
+    theirs: Strata,
+    statistic: Statistic,
+    *,
+    rng: np.random.Generator,
+    paired: bool = False,
+    replicates: int = REPLICATES,
+    level: float = 0.95,
+) -> Estimate:
+    """The statistic of our runs minus that of theirs, and its percentile interval.
+
+    Args:
+        ours, theirs: for each task the scores of the runs, [S] or [S, ...]; tasks in the same order.
+        statistic: reduces the last axis of an array; taken of each method's runs pooled over tasks.
+        rng: the only source of randomness.
+        paired: the runs of one row belong together; they are drawn together.
+        replicates: resampled data sets.
+        level: nominal coverage.
+
+    Raises:
+        ValueError: as `rrmctl.stats.bootstrap`, different numbers of tasks, or paired runs of different numbers.
+    """
+    sizes = _sizes(ours, theirs)
+    if paired and any(a != b for a, b in sizes):
+        raise ValueError("paired runs come in pairs: both methods need the same seeds on every task")
+    point = _pooled(ours, statistic) - _pooled(theirs, statistic)
+    draws = None
+    if interval_possible([size for pair in sizes for size in pair]):
+        first, second = rng.integers(2**63, size=2)
+        second = first if paired else second  # generators with one seed draw the same rows
+        draws = _draws(ours, statistic, first, replicates) - _draws(theirs, statistic, second, replicates)
+    found = estimate(point, draws, n=sum(map(sum, sizes)), level=level)
+    return found if draws is None else found.noting("pairs of one seed drawn together" if paired else "unpaired")
+
+
+def probability_of_improvement(ours: Strata, theirs: Strata) -> float:
+    """The probability that a run of ours beats one of theirs on the same task, averaged over tasks; ties count half.
+
+    The Mann-Whitney statistic over the number of pairs (Agarwal et al. 2021, as in rliable). Every run of one method is
+    compared with every run of the other: seeds are no pairs here.
+
+    Args:
+        ours, theirs: for each task one score a run, [S].
+
+    Raises:
+        ValueError: no tasks, different numbers of tasks, no runs, or a score that is not finite.
+    """
+    _sizes(ours, theirs)
+    return float(np.mean([_wins(a, b).mean() for a, b in zip(ours, theirs, strict=True)]))
+
+
+def improvement(
+    ours: Strata,
+    theirs: Strata,
+    *,
+    rng: np.random.Generator,
+    replicates: int = REPLICATES,
+    level: float = 0.95,
+) -> Estimate:
+    """`probability_of_improvement` with its percentile interval, both methods resampled within each task.
+
+    Raises:
+        ValueError: as `probability_of_improvement`, or no replicates are asked for.
+    """
+    if replicates < 1:
+        raise ValueError(f"a bootstrap needs at least one replicate, not {replicates}")
+    sizes = _sizes(ours, theirs)
+    draws = None
+    if interval_possible([size for pair in sizes for size in pair]):
+        tasks = zip(ours, theirs, sizes, strict=True)
+        draws = np.mean([_win_draws(_wins(a, b), pair, rng, replicates) for a, b, pair in tasks], axis=0)
+    return estimate(probability_of_improvement(ours, theirs), draws, n=sum(map(sum, sizes)), level=level)
+
+
+def _draws(strata: Strata, statistic: Statistic, seed: np.int64, replicates: int) -> Floats:
+    return resample(strata, statistic, rng=np.random.default_rng(seed), replicates=replicates)
+
+
+def _win_draws(wins: Floats, sizes: tuple[int, int], rng: np.random.Generator, replicates: int) -> Floats:
+    """The share of wins of each replicate [R], from how often it drew each run."""
+    ours, theirs = (count_draws([rng.integers(n, size=(replicates, n), dtype=np.int32)]) for n in sizes)
+    return np.asarray(np.einsum("ar,ab,br->r", ours, wins, theirs, optimize=True) / wins.size)
+
+
+def _wins(ours: npt.ArrayLike, theirs: npt.ArrayLike) -> Floats:
+    """1 where the run of ours [row] beats that of theirs [column], 1/2 where they are level: [S, S']."""
+    a, b = checked(ours, axis=0), checked(theirs, axis=0)
+    if a.ndim != 1 or b.ndim != 1:
+        raise ValueError("runs are compared by one score each")
+    return np.asarray((np.sign(a[:, None] - b) + 1.0) / 2.0)
+
+
+def _pooled(strata: Strata, statistic: Statistic) -> Floats:
+    return statistic(np.concatenate([checked(each, axis=0) for each in strata], axis=-1))
+
+
+def _sizes(ours: Strata, theirs: Strata) -> list[tuple[int, int]]:
+    """Runs of both methods on each task."""
+    if not ours or len(ours) != len(theirs):
+        raise ValueError(f"two methods are compared on the same tasks, not on {len(ours)} and {len(theirs)}")
+    return [(len(np.atleast_1d(a)), len(np.atleast_1d(b))) for a, b in zip(ours, theirs, strict=True)]

@@ -1,0 +1,1 @@
+"""Values that other programs compute, each beside the script that makes it."""
