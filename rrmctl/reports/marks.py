@@ -24,7 +24,7 @@ _MARKERS_A_LINE = 8
 _LINE: dict[str, Any] = {"linewidth": 1.3, "markersize": 3.8, "markeredgewidth": 0.8}
 
 
-def line(axes: Axes, steps: Steps, values: Floats, look: Style, position: int = 0, **other: Any) -> None:
+def line(axes: Axes, steps: Steps | Floats, values: Floats, look: Style, position: int = 0, **other: Any) -> None:
     """A line with some eight markers; those of lines at different positions do not lie on one another."""
     every = math.ceil(steps.size / _MARKERS_A_LINE)
     # A line without markers has nothing to show at a single step.
@@ -81,12 +81,11 @@ def methods(series: Iterable[Series]) -> list[Line2D]:
     return [handle(style(method), f"{method} (n = {'–'.join(map(str, counts))})") for method, counts in ends.items()]
 
 
-def step_axis(axes: Axes, last: int, ticks: int = 5) -> None:
+def step_axis(axes: Axes, last: int) -> None:
     """From zero to the last step, with ticks like 500k."""
-    from matplotlib.ticker import FuncFormatter, MaxNLocator
+    from matplotlib.ticker import FuncFormatter
 
     axes.set_xlim(0, 1.02 * last)
-    axes.xaxis.set_major_locator(MaxNLocator(ticks))
     axes.xaxis.set_major_formatter(FuncFormatter(lambda steps, _: told(steps)))
 
 

@@ -50,7 +50,8 @@ def shape(panels: int, width: Width, most: int = 3) -> Shape:
     if panels == 1:
         return Shape(1, 1, 4.6, 3.0)
     across = min(panels, most)
-    return Shape(math.ceil(panels / across), across, WIDEST[width] / 3 * across, 1.95)
+    each = min(WIDEST[width] / 3, WIDEST[width] / across)
+    return Shape(math.ceil(panels / across), across, each * across, 1.95)
 
 
 def cells_sheet(
@@ -121,8 +122,9 @@ def sheet(
 
 
 def panel_title(axes: Axes, text: str, width: float, size: Width) -> None:
-    """A title that is broken where it is wider than its panel of `width` inches."""
-    axes.set_title("\n".join(textwrap.wrap(text, int(width / (0.58 * TEXT[size] / 72)))))
+    """A title whose lines are broken where they are wider than a panel that has `width` inches with all about it."""
+    letters = int((width - 0.3) / (0.58 * TEXT[size] / 72))
+    axes.set_title("\n".join(part for line in text.splitlines() for part in textwrap.wrap(line, letters)))
 
 
 def _legend_columns(labels: Sequence[str], width: float, letters: float) -> int:

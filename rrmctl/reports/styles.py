@@ -59,9 +59,9 @@ _LINES: dict[str, Dashes] = {
 #: Of methods with a suffix: share of white in the colour, marker (none: the base's), line.
 _VARIANTS: dict[str, tuple[float, str, Dashes]] = {
     "bfloat16": (0.4, "", (0, (2, 1))),
-    "tanh": (0.25, "o", (0, (2, 1))),
-    "mse": (0.5, "^", (0, (7, 1.5))),
-    "mse-tanh": (0.65, "D", (0, (4, 1, 1, 1))),
+    "tanh": (0.2, "o", (0, (2, 1))),
+    "mse": (0.4, "^", (0, (7, 1.5))),
+    "mse-tanh": (0.55, "D", (0, (4, 1, 1, 1))),
 }
 
 

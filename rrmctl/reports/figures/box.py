@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from rrmctl.stats import IqmKind
 
 #: Inches: the panel that shows the rule, a method's row, and what a panel of boxes needs beside its rows.
-_RULE, _ROW, _FRAME = 1.25, 0.25, 0.7
+_RULE, _ROW, _FRAME = 1.4, 0.25, 0.7
 _GREY = "#555555"
 _DIAMOND: dict[str, Any] = {"marker": "D", "markersize": 4, "markerfacecolor": "white", "markeredgecolor": "black"}
 
@@ -107,8 +107,8 @@ def _draw_row(
 
 def _title(cell: Reading) -> str:
     if cell.read is None:
-        return f"{cell.name}, each at its step"
-    return f"{cell.name} at step {cell.read.step:,}" + ("" if cell.read.reached else " (last)")
+        return f"{cell.name}\neach at its step"
+    return f"{cell.name}\nat step {cell.read.step:,}" + ("" if cell.read.reached else " (last)")
 
 
 def _draw_rule(axes: Axes, cell: Reading) -> None:
@@ -124,7 +124,7 @@ def _draw_rule(axes: Axes, cell: Reading) -> None:
     axes.axvline(read.step, color=_GREY, linewidth=0.8, linestyle="-" if read.reached else (0, (1, 2)))
     score_axis(axes, "success")
     axes.set_yticks([0, 100 * SHARE, 100])
-    step_axis(axes, int(steps[-1]), 4)
+    step_axis(axes, int(steps[-1]))
     axes.set_xlabel("Environment steps")
     axes.set_visible(True)
 
@@ -161,7 +161,7 @@ def _draw_box(axes: Axes, y: int, method: str, cell: Reading, kind: IqmKind) -> 
     )  # fmt: skip
     axes.plot(float(iqm(scores, kind)), y, linestyle="none", zorder=4, clip_on=False, **_DIAMOND)
     told = f"{center:.1f}" if cell.score == "success" else f"{center:,.0f}"
-    axes.annotate(told, (1.02, y), xycoords=("axes fraction", "data"), va="center", ha="left", fontsize="small")
+    axes.annotate(told, (1.05, y), xycoords=("axes fraction", "data"), va="center", ha="left", fontsize="small")
 
 
 def _spread(scores: Floats) -> Floats:

@@ -12,7 +12,7 @@ import numpy as np
 
 from rrmctl.reports.marks import band, contents, line, methods, panel_name, step_axis
 from rrmctl.reports.notebook import nothing, one_section
-from rrmctl.reports.series import Floats, Section, Series
+from rrmctl.reports.series import Floats, Section, Series, Steps
 from rrmctl.reports.settings import DEFAULTS, Settings, Width
 from rrmctl.reports.sheet import Cell, cells_sheet
 from rrmctl.reports.styles import style
@@ -85,6 +85,7 @@ def _draw(section: Section, gradients: pd.DataFrame, settings: Settings) -> Figu
         notes=[
             f"Median over the gradient steps in each {_BINS}th of the run, then the interquartile mean over seeds "
             f"({settings.kind}). Band: 25 to 75 % of the seeds. Grey: where the loss changes.",
+            f"Norms of {len(told)} runs.",
             *contents(section),
         ],
     )
@@ -110,9 +111,10 @@ def _cell(name: str, shown: Sequence[Series], gradients: pd.DataFrame, kind: Iqm
     return Cell(name, "Norm of the reward's gradient", fill)
 
 
-def binned(gradients: pd.DataFrame, runs: Sequence[str], length: float) -> tuple[Floats, Floats]:
+def binned(gradients: pd.DataFrame, runs: Sequence[str], length: float) -> tuple[Steps, Floats]:
     """Medians of each run in bins of `length` steps, where all runs have one: middles [T], and norms [S, T]."""
     bins = (gradients["step"] // length).rename("bin")
     table = gradients.groupby([gradients["run"], bins])["gradient_norm"].median().unstack("bin").reindex(list(runs))
     table = table.dropna(axis="columns")
-    return (table.columns.to_numpy(dtype=np.float64) + 0.5) * length, table.to_numpy(dtype=np.float64)
+    middles = (table.columns.to_numpy(dtype=np.float64) + 0.5) * length
+    return middles.astype(np.int64), table.to_numpy(dtype=np.float64)

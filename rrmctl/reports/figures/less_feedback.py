@@ -1,7 +1,7 @@
 """Less feedback: success against the size of a session, and against the steps between two, a point for each budget.
 
-A point is the mean over the evaluation steps of the interquartile mean over seeds, with its bootstrap interval; a small
-bar beside it is the interquartile mean at the last step.
+A point is the mean over the evaluation steps of the interquartile mean over seeds, with its bootstrap interval; the small
+hollow one above or below it is the interquartile mean at the last step.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from rrmctl.reports.notebook import from_frames, nothing
 from rrmctl.reports.series import NOTHING_ASKED, Floats, Section, Series, at_steps
 from rrmctl.reports.settings import BOOTSTRAP_SEED, DEFAULTS, LEVEL, Settings
 from rrmctl.reports.sheet import Cell, cells_sheet
-from rrmctl.reports.styles import style
+from rrmctl.reports.styles import Style, style
 from rrmctl.reports.tables import ALL_TASKS
 from rrmctl.reports.words import title
 from rrmctl.stats import Estimate, Iqm, estimate, interval_possible, iqm, resample
@@ -72,10 +72,10 @@ def draw(section: Section, settings: Settings = DEFAULTS) -> Figure:
         handles=methods(series for each in found for series in each.series.values()),
         notes=[
             f"Points: mean over the evaluation steps of the interquartile mean over seeds ({settings.kind}), with its "
-            f"{100 * LEVEL:g} % bootstrap interval. Bars beside them: the interquartile mean at the last step.",
+            f"{100 * LEVEL:g} % bootstrap interval. Small and hollow: the interquartile mean at the last step.",
             *contents(section),
         ],
-        most=2,
+        most=4,
     )
 
 
@@ -121,9 +121,9 @@ def _cell(group: Sequence[Sweep], found: Sequence[Sweep], settings: Settings) ->
         name += f", teacher {first.teacher}"
     score = next(iter(first.series.values())).score
     if first.field == "batch":
-        across = f"Queries a session, every {told(first.schedules[0].every)} steps"
+        across = f"Queries a session,\nevery {told(first.schedules[0].every)} steps"
     else:
-        across = f"Steps between sessions of {first.schedules[0].batch}"
+        across = f"Steps between\nsessions of {first.schedules[0].batch}"
     return Cell(name, UNITS[score], _filler(group, score, settings), across)
 
 
@@ -133,20 +133,10 @@ def _filler(group: Sequence[Sweep], score: str, settings: Settings) -> Callable[
 
     def fill(axes: Axes) -> None:
         for row, method in enumerate(names):
-            shift = 0.09 * (row - (len(names) - 1) / 2)
+            shift = 0.12 * (row - (len(names) - 1) / 2)
             have = [at for at, each in enumerate(first.schedules) if all((method, each) in s.series for s in group)]
-            strata = [[sweep.series[method, first.schedules[at]] for sweep in group] for at in have]
-            made = [mean_of_iqm(each, settings) for each in strata]
-            _draw_points(axes, np.array(have) + shift, [each for each, _ in made], scale, method)
-            last = [scale * float(final) for _, final in made]
-            axes.plot(
-                np.array(have) + shift + 0.045,
-                last,
-                linestyle="none",
-                marker="_",
-                markersize=5,
-                color=style(method).color,
-            )
+            made = [mean_of_iqm([s.series[method, first.schedules[at]] for s in group], settings) for at in have]
+            _draw_points(axes, np.array(have) + shift, made, scale, style(method))
         axes.set_xticks(range(len(first.schedules)), [told(getattr(each, first.field)) for each in first.schedules])
         axes.set_xlim(-0.4, len(first.schedules) - 0.6)
         score_axis(axes, score)
@@ -154,14 +144,17 @@ def _filler(group: Sequence[Sweep], score: str, settings: Settings) -> Callable[
     return fill
 
 
-def _draw_points(axes: Axes, x: Floats, made: Sequence[Estimate], scale: float, method: str) -> None:
-    look = style(method)
-    y, low, high = (scale * np.array([float(getattr(e, part)) for e in made]) for part in ("estimate", "low", "high"))
+def _draw_points(axes: Axes, x: Floats, made: Sequence[tuple[Estimate, float]], scale: float, look: Style) -> None:
+    """Means with their intervals on a line, and the last steps' values, small and hollow, on none."""
+    means, last = [each for each, _ in made], [scale * final for _, final in made]
+    y, low, high = (scale * np.array([float(getattr(e, part)) for e in means]) for part in ("estimate", "low", "high"))
     axes.plot(x, y, linewidth=1.3, markersize=4, markeredgewidth=0.8, **look._asdict())
     axes.vlines(x, low, high, color=look.color, linewidth=0.9)
+    hollow = look._asdict() | {"linestyle": "none", "markerfacecolor": "white"}
+    axes.plot(x, last, markersize=3, markeredgewidth=0.6, **hollow)
 
 
-def mean_of_iqm(strata: Sequence[Series], settings: Settings) -> tuple[Estimate, Floats]:
+def mean_of_iqm(strata: Sequence[Series], settings: Settings) -> tuple[Estimate, float]:
     """Mean over the steps that all have of the IQM of their seeds pooled, and the IQM at the last of these steps."""
     steps = reduce(np.intersect1d, (each.steps for each in strata))
     values = [at_steps(each, steps) for each in strata]
@@ -170,7 +163,7 @@ def mean_of_iqm(strata: Sequence[Series], settings: Settings) -> tuple[Estimate,
     if interval_possible([each.n for each in strata]):
         rng = np.random.default_rng(BOOTSTRAP_SEED)
         draws = resample(values, Iqm(settings.kind), rng=rng, replicates=settings.replicates).mean(axis=-1)
-    return estimate(point.mean(), draws, n=sum(each.n for each in strata), level=LEVEL), point[-1]
+    return estimate(point.mean(), draws, n=sum(each.n for each in strata), level=LEVEL), float(point[-1])
 
 
 less_feedback = from_frames(draw)
