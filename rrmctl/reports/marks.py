@@ -83,9 +83,10 @@ def methods(series: Iterable[Series]) -> list[Line2D]:
 
 def step_axis(axes: Axes, last: int) -> None:
     """From zero to the last step, with ticks like 500k."""
-    from matplotlib.ticker import FuncFormatter
+    from matplotlib.ticker import FuncFormatter, MaxNLocator
 
-    axes.set_xlim(0, 1.02 * last)
+    axes.set_xlim(0, 1.03 * last)
+    axes.xaxis.set_major_locator(MaxNLocator("auto", steps=[1, 2, 2.5, 5, 10], min_n_ticks=3))
     axes.xaxis.set_major_formatter(FuncFormatter(lambda steps, _: told(steps)))
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 import math
-import textwrap
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -20,6 +19,8 @@ if TYPE_CHECKING:
 
 #: In font sizes. Long handles, or the marker would hide the gap of a dashed line.
 _LEGEND: dict[str, Any] = {"borderaxespad": 0.2, "columnspacing": 1.4, "handlelength": 3.2}
+#: Of the width that text may take: on a screen's pixels letters are somewhat wider than on paper.
+_FULL = 0.94
 _NOTE_SIZE: dict[Width, float] = {"column": 5.5, "page": 6.5}
 
 
@@ -104,8 +105,8 @@ def sheet(
     point = 1 / 72
     letters = TEXT[size]
     columns = _legend_columns([str(each.get_label()) for each in handles], width, letters)
-    head = textwrap.wrap(heading, int(width / (0.56 * (letters + 1) * point)))
-    foot = textwrap.wrap(" ".join(notes), int(width / (0.53 * _NOTE_SIZE[size] * point)))
+    head = wrapped(heading, letters + 1, width)
+    foot = wrapped(" ".join(notes), _NOTE_SIZE[size], width)
     above = sum(heights) + len(head) * 1.3 * (letters + 1) * point
     below = (
         0.12 + 1.55 * letters * point * math.ceil(len(handles) / columns) + 1.38 * _NOTE_SIZE[size] * point * len(foot)
@@ -123,17 +124,39 @@ def sheet(
 
 def panel_title(axes: Axes, text: str, width: float, size: Width) -> None:
     """A title whose lines are broken where they are wider than a panel that has `width` inches with all about it."""
-    letters = int((width - 0.3) / (0.58 * TEXT[size] / 72))
-    axes.set_title("\n".join(part for line in text.splitlines() for part in textwrap.wrap(line, letters)))
+    lines = (part for line in text.splitlines() for part in wrapped(line, TEXT[size] + 0.5, width - 0.3))
+    axes.set_title("\n".join(lines))
+
+
+def wrapped(text: str, letters: float, width: float) -> list[str]:
+    """Lines of letters of this many points that fit into `width` inches, save for longer words."""
+    lines: list[str] = []
+    for word in text.split():
+        longer = f"{lines[-1]} {word}" if lines else word
+        if lines and _length(longer, letters) <= _FULL * width:
+            lines[-1] = longer
+        else:
+            lines.append(word)
+    return lines
+
+
+def _length(text: str, letters: float) -> float:
+    """Inches."""
+    from matplotlib.font_manager import FontProperties
+    from matplotlib.textpath import text_to_path
+
+    wide, _, _ = text_to_path.get_text_width_height_descent(text, FontProperties(size=letters), ismath=False)
+    return float(wide) / 72
 
 
 def _legend_columns(labels: Sequence[str], width: float, letters: float) -> int:
     """As many columns as fit into `width` inches, at a legend of letters of this many points."""
-    handle, letter, gap = (each * letters / 8 for each in (0.47, 0.059, 0.16))
+    lengths = [_length(label, letters) for label in labels]
+    handle, gap = ((_LEGEND["handlelength"] + 0.8) * letters / 72, _LEGEND["columnspacing"] * letters / 72)
     for columns in range(len(labels), 1, -1):
         rows, longer = divmod(len(labels), columns)  # matplotlib gives its first columns one more
         starts = [column * rows + min(column, longer) for column in range(columns + 1)]
-        widest = [max(map(len, labels[start:end])) for start, end in itertools.pairwise(starts)]
-        if sum(handle + letter * most + gap for most in widest) - gap <= width:
+        longest = [max(lengths[start:end]) for start, end in itertools.pairwise(starts)]
+        if sum(handle + length + gap for length in longest) <= width:
             return columns
     return 1

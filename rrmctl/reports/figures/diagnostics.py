@@ -96,7 +96,7 @@ def _looks(colour: str) -> dict[str, Style]:
 
 
 def _cells(series: Series, panel: Panel, panels: Sequence[Panel], kind: IqmKind) -> list[Cell]:
-    looks, name = _looks(style(series.label.method).color), f"{panel_name(panel, panels)}, {series.label.method}"
+    looks, name = _looks(style(series.label.method).color), f"{panel_name(panel, panels)}\n{series.label.method}"
 
     def cell(unit: str, columns: Sequence[str], scale: float = 1) -> Cell:
         def fill(axes: Axes) -> None:

@@ -1,7 +1,7 @@
 """Less feedback: success against the size of a session, and against the steps between two, a point for each budget.
 
-A point is the mean over the evaluation steps of the interquartile mean over seeds, with its bootstrap interval; the small
-hollow one above or below it is the interquartile mean at the last step.
+A point is the mean over the evaluation steps of the interquartile mean over seeds, with its bootstrap interval; the
+small hollow one above or below it is the interquartile mean at the last step.
 """
 
 from __future__ import annotations
