@@ -146,11 +146,7 @@ def plot(
     profile: ProfileOption = None,
     replicates: ReplicatesOption = 10_000,
 ) -> None:
-    """Draw the figures that suit an experiment as PNG, PDF and SVG and print their paths.
-
-    Learning curves suit every one: interquartile mean over seeds, band from
-    the 25th to the 75th percentile of the seeds, oracle dotted.
-    """
+    """Draw the figures that suit an experiment as PNG, PDF and SVG and print their paths."""
     from rrmctl.reports.canvas import encode
     from rrmctl.reports.select import of_profile, read_sections
     from rrmctl.reports.settings import Settings
@@ -169,6 +165,11 @@ def plot(
                 path = (output or results / "figures") / f"{_figure_name(section, figure, width)}.{suffix}"
                 _write(path, encode(made, suffix.value))
                 typer.echo(str(path))
+
+
+plot.__doc__ = "\n\n".join(
+    (str(plot.__doc__), *(f"{name}: {entry.help.splitlines()[0]}" for name, entry in figures().items()))
+)
 
 
 def _with_runs(sections: Sequence[Section]) -> list[Section]:
