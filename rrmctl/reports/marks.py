@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from rrmctl.reports.series import ORACLE, Floats, Panel, Section, Series, Steps
 from rrmctl.reports.sheet import Cell
 from rrmctl.reports.styles import Style, style
-from rrmctl.reports.words import absent_notes
+from rrmctl.reports.words import short_absent_notes
 from rrmctl.stats import iqm, quartiles
 
 if TYPE_CHECKING:
@@ -125,5 +125,5 @@ def iqm_notes(section: Section, kind: IqmKind) -> Iterator[str]:
 def contents(section: Section) -> Iterator[str]:
     """Notes of every figure: how many of the planned runs it contains, which are missing, what was left out."""
     yield f"{section.contained} of {section.planned} planned runs."
-    yield from absent_notes(section)
+    yield from short_absent_notes(section)
     yield from section.problems

@@ -50,7 +50,7 @@ def test_missing_runs_stand_below_the_figure():
     """What was planned and is not drawn is named, and n follows it."""
     figure = learning_curves(*Sweep(states={("button-press", "pebble", 1): "failed"}).frames())
     assert "pebble (n = 4)" in legend(figure)
-    assert "14 of 15 planned runs. Not contained, failed:" in words(figure).replace("\n", " ")
+    assert "14 of 15 planned runs. Not contained, failed: button-press, pebble: seed 1." in words(figure)
 
 
 @pytest.mark.parametrize("count", [2, 3, 4, 5, 7, 10])
@@ -89,3 +89,13 @@ def test_one_evaluation_is_visible():
     figure = learning_curves(*Sweep(curves={m: [[0.5]] for m in RISING}).frames())
     assert all(line.get_marker() not in ("", "None") for line in panels(figure)[0].get_lines())
     assert encode(figure, "png").startswith(b"\x89PNG")
+
+
+def test_many_missing_runs_take_few_words():
+    """Methods of a task that lack the same seeds are named together, and seeds in a row by their ends."""
+    keys = [("door-open", method, seed) for method in ("pebble", "rrm-proxy") for seed in range(5)]
+    states = dict.fromkeys(keys, "queued") | {("button-press", "pebble", seed): "queued" for seed in (0, 2)}
+    sweep = Sweep(tasks=("button-press", "door-open"), states=states, lengths=dict.fromkeys(states, 0))
+    told = words(learning_curves(*sweep.frames()))
+    which = "Not contained, queued: button-press, pebble: seeds 0, 2; door-open, pebble, rrm-proxy: seeds 0-4."
+    assert f"18 of 30 planned runs. {which}" in told
