@@ -11,6 +11,7 @@ import typer
 
 from rrmctl.cli.app import app
 from rrmctl.planning.manifest import load
+from rrmctl.reports.figures import figures
 
 ROOT = Path(__file__).parent.parent
 README = (ROOT / "README.md").read_text()
@@ -91,3 +92,19 @@ def test_the_readme_lists_the_experiments():
         told = re.sub(r"rrm-\{the same\}", lambda _: "rrm-{proxy, o2g, h2o, sparse, language}", methods)
         told = re.sub(r"([\w-]+-)\{(.*?)\}", lambda m: ", ".join(m[1] + n for n in m[2].split(", ")), told)
         assert set(told.split(", ")) == planned, name
+
+
+REPORTS = (ROOT / "docs" / "reports.md").read_text()
+
+
+def test_the_figures_are_listed():
+    """docs/reports.md has a row for every figure, in the table of figures and nowhere else."""
+    table = REPORTS.split("| figure | shows")[1].split("\n\n")[0]
+    assert set(re.findall(r"^\| `([a-z-]+)` \|", table, re.MULTILINE)) == set(figures())
+
+
+def test_the_notebook_example_draws(monkeypatch):
+    """The example of figures in a notebook runs on the published results."""
+    monkeypatch.chdir(ROOT)
+    (code,) = re.findall(r"```python\n(.*?)```", REPORTS.split("### In a notebook")[1].split("\n## ")[0], re.DOTALL)
+    exec(code, {})

@@ -31,6 +31,21 @@ class Format(StrEnum):
     JSON = "json"
 
 
+class Drawing(StrEnum):
+    """Forms of a figure's file; a test compares with `rrmctl.reports.canvas`."""
+
+    PNG = "png"
+    PDF = "pdf"
+    SVG = "svg"
+
+
+class Across(StrEnum):
+    """Widths of a figure."""
+
+    COLUMN = "column"
+    PAGE = "page"
+
+
 class Iqm(StrEnum):
     """Kinds of interquartile mean."""
 
@@ -119,21 +134,25 @@ def plot(
         list[str] | None,
         typer.Option("--figure", metavar="FIGURE", help=f"Only this one, may be repeated: {', '.join(figures())}."),
     ] = None,
+    forms: Annotated[
+        list[Drawing] | None,
+        typer.Option("--format", help="Only this form of file, may be repeated. Default: all three."),
+    ] = None,
+    width: Annotated[
+        Across,
+        typer.Option("--width", help="column: 3.3 inches, one column of a paper; page: as it needs, at most 7 inches."),
+    ] = Across.PAGE,
     kind: IqmOption = Iqm.RLIABLE,
     profile: ProfileOption = None,
     replicates: ReplicatesOption = 10_000,
 ) -> None:
-    """Draw the figures that suit an experiment as PNG and PDF and print their paths.
-
-    Learning curves suit every one: interquartile mean over seeds, band from
-    the 25th to the 75th percentile of the seeds, oracle dotted.
-    """
+    """Draw the figures that suit an experiment as PNG, PDF and SVG and print their paths."""
     from rrmctl.reports.canvas import encode
     from rrmctl.reports.select import of_profile, read_sections
     from rrmctl.reports.settings import Settings
 
     drawn = {figure: entry.load() for figure, entry in _chosen(wanted).items()}
-    settings = Settings(kind=kind.value, replicates=replicates)
+    settings = Settings(kind=kind.value, replicates=replicates, width=width.value)
     for section in _with_runs(of_profile(read_sections(results, _stem(name)), profile)):
         for figure, module in drawn.items():
             if not module.suits(section):
@@ -142,10 +161,15 @@ def plot(
                     typer.echo(f"note: {where}: nothing to draw in the figure {figure}", err=True)
                 continue
             made = module.draw(section, settings)
-            for suffix in ("png", "pdf"):
-                path = (output or results / "figures") / f"{_figure_name(section, figure)}.{suffix}"
-                _write(path, encode(made, suffix))
+            for suffix in forms or Drawing:
+                path = (output or results / "figures") / f"{_figure_name(section, figure, width)}.{suffix}"
+                _write(path, encode(made, suffix.value))
                 typer.echo(str(path))
+
+
+plot.__doc__ = "\n\n".join(
+    (str(plot.__doc__), *(f"{name}: {entry.help.splitlines()[0]}" for name, entry in figures().items()))
+)
 
 
 def _with_runs(sections: Sequence[Section]) -> list[Section]:
@@ -171,12 +195,13 @@ def _chosen(wanted: Sequence[str] | None) -> dict[str, Entry]:
     return {name: known[name] for name in wanted or known}
 
 
-def _figure_name(section: Section, figure: str) -> str:
-    """Experiment, variant and figure; the paper's own scale and the curves, which all have, need no mention."""
+def _figure_name(section: Section, figure: str, width: Across) -> str:
+    """Experiment, variant, figure and width; the paper's own scale, the curves and a page's width need no mention."""
     from rrmctl.planning.profiles import PAPER
 
     variant = () if section.variant == PAPER else (section.variant,)
-    return "-".join((section.experiment, *variant, *(() if figure == "curves" else (figure,))))
+    rest = (*(() if figure == "curves" else (figure,)), *(() if width is Across.PAGE else (width.value,)))
+    return "-".join((section.experiment, *variant, *rest))
 
 
 def _stem(name: str | None) -> str | None:

@@ -5,35 +5,49 @@ from __future__ import annotations
 import io
 from typing import TYPE_CHECKING, Any
 
+from rrmctl.reports.settings import Width
+
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-#: Fonts are embedded as outlines a printer and a search understand (Type 42), sizes are those of a paper's captions.
-LOOK: Any = {
-    "font.size": 8,
-    "axes.titlesize": 8.5,
-    "axes.labelsize": 8,
+#: Forms of a file.
+FORMS = ("png", "pdf", "svg")
+
+#: Fonts are embedded: in PDF as outlines that a printer and a search understand (Type 42), in SVG as paths.
+_LOOK: Any = {
     "axes.spines.top": False,
     "axes.spines.right": False,
+    "axes.linewidth": 0.7,
     "axes.grid": True,
     "grid.color": "#DDDDDD",
     "grid.linewidth": 0.5,
     "axes.axisbelow": True,
     "legend.frameon": False,
-    "legend.fontsize": 8,
     "pdf.fonttype": 42,
-    "svg.fonttype": "none",
+    "svg.fonttype": "path",
+    "svg.hashsalt": "rrmctl",  # ids within the file are drawn at random otherwise
 }
+#: Points: those of captions, so that a figure is legible where it is put in at its own size.
+TEXT: dict[Width, float] = {"column": 7.0, "page": 8.0}
+#: Inches.
+WIDEST: dict[Width, float] = {"column": 3.3, "page": 7.0}
+
+
+def look(width: Width) -> Any:
+    """Settings of matplotlib for a figure of this width."""
+    size = TEXT[width]
+    sizes = {"font.size": size, "axes.titlesize": size + 0.5, "axes.labelsize": size, "legend.fontsize": size}
+    return _LOOK | sizes
 
 
 def encode(figure: Figure, form: str) -> bytes:
-    """The figure as a file's content; `form` is a suffix matplotlib knows. Equal figures give equal bytes."""
+    """The figure as a file's content; `form` is one of `FORMS`. Equal figures give equal bytes."""
     import matplotlib as mpl
     from matplotlib.backends.backend_agg import FigureCanvasAgg
 
     FigureCanvasAgg(figure)
     buffer = io.BytesIO()
-    undated = {"CreationDate": None} if form == "pdf" else None
-    with mpl.rc_context(LOOK):
+    undated = {"pdf": {"CreationDate": None}, "svg": {"Date": None}}.get(form)
+    with mpl.rc_context(_LOOK):
         figure.savefig(buffer, format=form, dpi=200, metadata=undated)
     return buffer.getvalue()

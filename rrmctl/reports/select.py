@@ -48,7 +48,9 @@ def read_sections(results: str | Path, experiment: str | None = None) -> tuple[S
     rows, jobs = load(results, experiment), planned(results, experiment)
     # Runs that no sweep asked for have no labels to be reported under.
     found = sections(rows[rows["experiment"] != ""], jobs, evaluation=_evaluation(layout, rows))
-    return tuple(replace(each, trial=read_trial(layout, each.experiment, each.variant)) for each in found)
+    return tuple(
+        replace(each, trial=read_trial(layout, each.experiment, each.variant), source=layout) for each in found
+    )
 
 
 def of_profile(found: Sequence[Section], profile: str | None) -> tuple[Section, ...]:

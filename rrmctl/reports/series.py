@@ -17,6 +17,8 @@ from rrmctl.store.trials import Trial
 if TYPE_CHECKING:
     import pandas as pd
 
+    from rrmctl.store.layout import Layout
+
 Floats = npt.NDArray[np.float64]
 Steps = npt.NDArray[np.int64]
 
@@ -123,6 +125,7 @@ class Section:
     evaluation: tuple[str, ...]  #: the protocol behind the scores; several where methods differ
     problems: tuple[str, ...]  #: what had to be left out of a series, and why
     trial: Trial | None = None  #: the rules of the sequential test that was begun on it
+    source: Layout | None = None  #: the store it was read from, for what runs leave beside their curves
 
     @property
     def contained(self) -> int:

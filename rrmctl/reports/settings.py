@@ -1,14 +1,18 @@
-"""How the statistics of every report are made."""
+"""How the statistics of every report are made, and how wide its figures are."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 from rrmctl.stats import REPLICATES, IqmKind
 
 #: Every interval is drawn from a generator of its own with this seed, so that a table depends on its runs alone.
 BOOTSTRAP_SEED = 0
 LEVEL = 0.95
+
+#: Of a figure: as wide as one column of a two-column paper, or at most as wide as its page.
+Width = Literal["column", "page"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -17,6 +21,7 @@ class Settings:
 
     kind: IqmKind = "rliable"
     replicates: int = REPLICATES
+    width: Width = "page"
 
 
 DEFAULTS = Settings()

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import json
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Iterator, Sequence
 from typing import Any
 
-from rrmctl.reports.series import Section
+from rrmctl.reports.series import NOTHING_ASKED, Label, Section
 from rrmctl.reports.settings import BOOTSTRAP_SEED, LEVEL, Settings
 
 
@@ -61,13 +61,44 @@ def absent_notes(section: Section) -> Iterator[str]:
     for state, series in by_state.items():
         which = "; ".join(f"{name}: {_seeds(seeds)}" for name, seeds in series.items())
         yield f"Not contained, {state}: {which}."
+    yield from early_notes(section)
+
+
+def early_notes(section: Section) -> Iterator[str]:
+    """Which series are read before their end, if any."""
     early = [f"{s.label} up to step {s.steps[-1]:,}" for s in section.series if s.n and not s.finished]
     if early:
         yield f"Under way, read as far as all of their runs have come: {'; '.join(early)}."
 
 
+def short_absent_notes(section: Section) -> Iterator[str]:
+    """The same for a figure, where words are dear: methods that lack the same seeds together, teachers where needed."""
+    panels = {(each.label.task, *each.label[2:]) for each in section.series if each.label.teacher != NOTHING_ASKED}
+    several = {task for task, count in Counter(task for task, *_ in panels).items() if count > 1}
+    by_state: dict[str, dict[Label, list[int]]] = defaultdict(lambda: defaultdict(list))
+    for each in section.absent:
+        by_state[each.state][each.label].append(each.seed)
+    for state, series in by_state.items():
+        alike: dict[tuple[str, str], list[str]] = defaultdict(list)
+        for label, seeds in series.items():
+            asked = label.task in several and label.teacher != NOTHING_ASKED
+            place = f"{label.task} ({label.teacher}, {label.feedback})" if asked else label.task
+            alike[place, _seeds(seeds)].append(label.method)
+        which = "; ".join(f"{place}, {', '.join(names)}: {seeds}" for (place, seeds), names in alike.items())
+        yield f"Not contained, {state}: {which}."
+    yield from early_notes(section)
+
+
 def _seeds(seeds: Sequence[int]) -> str:
-    return f"seed{'s' if len(seeds) > 1 else ''} {', '.join(map(str, sorted(seeds)))}"
+    """`seed 3`, `seeds 0, 3`, `seeds 0-9`."""
+    runs: list[list[int]] = []
+    for seed in sorted(seeds):
+        if runs and seed == runs[-1][-1] + 1:
+            runs[-1].append(seed)
+        else:
+            runs.append([seed])
+    parts = (f"{run[0]}-{run[-1]}" if len(run) > 2 else ", ".join(map(str, run)) for run in runs)
+    return f"seed{'s' if len(seeds) > 1 else ''} {', '.join(parts)}"
 
 
 _KIND_IN_WORDS = {

@@ -12,6 +12,9 @@ from rrmctl.stats.aggregate import Floats, checked
 
 Steps = npt.NDArray[np.int64]
 
+#: Of the seeds: how many must be at 100 % for a task to be read there.
+SHARE = 0.8
+
 
 def area_under_curve(steps: npt.ArrayLike, values: npt.ArrayLike) -> Floats:
     """Mean height of a curve between its first and last step (trapezoids), in the unit of the values.
@@ -46,7 +49,7 @@ class CommonStep:
 
 
 def common_step(
-    steps: npt.ArrayLike, success: Mapping[str, npt.ArrayLike], *, share: float = 0.8, oracle: str = "oracle"
+    steps: npt.ArrayLike, success: Mapping[str, npt.ArrayLike], *, share: float = SHARE, oracle: str = "oracle"
 ) -> CommonStep:
     """First evaluation step at which `share` of the seeds of any method but the oracle are at 100 % success.
 

@@ -36,6 +36,9 @@ class Sweep:
     variant: str = "laptop"
     overrides: dict[str, object] = field(default_factory=dict)
     feedback: str = FEEDBACK
+    teacher: str = "oracle"
+    every: int = 100  #: steps between evaluations
+    measured: dict[str, dict[str, list[float]]] = field(default_factory=dict)  #: method -> column -> at each evaluation
     states: dict[tuple[str, str, int], str] = field(default_factory=dict)  #: (task, method, seed); done otherwise
     lengths: dict[tuple[str, str, int], int] = field(default_factory=dict)  #: evaluations; all otherwise
     cells: dict[tuple[str, str, int], str] = field(default_factory=dict)
@@ -47,9 +50,10 @@ class Sweep:
                 for method in (name for name, seeds in self.curves.items() if seed < len(seeds)):
                     key = (task, method, seed)
                     asked = method != "oracle" and not method.startswith("sac-")
-                    run = digits(self.variant, *key)
-                    cell = self.cells.get(key, digits(self.variant, task, method))
-                    labels = (task, method, *(("oracle", self.feedback) if asked else ("-", "-")), seed)
+                    labels = (task, method, *((self.teacher, self.feedback) if asked else ("-", "-")), seed)
+                    own = () if labels[2:4] in (("oracle", FEEDBACK), ("-", "-")) else labels[2:4]
+                    run = digits(self.variant, *key, *own)
+                    cell = self.cells.get(key, digits(self.variant, task, method, *own))
                     who = (self.experiment, self.variant, self.profile, json.dumps(self.overrides))
                     rows.append((*who, *labels, run, cell, self.states.get(key, "done"), 1, 400, 400, ""))
         return pd.DataFrame(rows, columns=list(PLANNED))
@@ -60,8 +64,9 @@ class Sweep:
             key = (job["task"], job["method"], job["seed"])
             curve = self.curves[job["method"]][job["seed"]]
             for number, success in enumerate(curve[: self.lengths.get(key, len(curve))], start=1):
-                measured = dict.fromkeys(MEASURED, 0.0) | {"step": 100 * number, "episodes": 10}
+                measured = dict.fromkeys(MEASURED, 0.0) | {"step": self.every * number, "episodes": 10}
                 measured |= {"success": success, "true_return": 1000.0 * success}
+                measured |= {name: at[number - 1] for name, at in self.measured.get(job["method"], {}).items()}
                 if job["task"] in RETURN_TASKS:
                     measured["success"] = float("nan")
                 labels = {name: job[name] for name in PLANNED[:3] + PLANNED[4:12]}
@@ -96,6 +101,12 @@ class Sweep:
             curve = rows[rows["run"] == job["run"]][[*IDENTITY, *MEASURED]].astype({"queries": int, "labels": int})
             if len(curve):
                 write_bytes(folder.curve, encode(curve.to_dict("records")))
+
+
+def together(*sweeps: Sweep) -> tuple[pd.DataFrame, pd.DataFrame]:
+    """The frames of several sweeps of one variant as if it had been one; runs that they share appear once."""
+    rows, jobs = (pd.concat(frames, ignore_index=True) for frames in zip(*(s.frames() for s in sweeps), strict=True))
+    return rows.drop_duplicates(["run", "step"]), jobs.drop_duplicates("run")
 
 
 def digits(*parts: object) -> str:

@@ -101,19 +101,41 @@ def test_a_store_that_may_only_be_read_still_reports(results):
 
 
 def test_figures_are_written_and_named(results):
-    """`plot` writes PNG and PDF below the results and prints their paths."""
-    ran = rrmctl("plot", "main-results", "--results", results)
-    paths = [results / "figures" / f"main-results-laptop.{suffix}" for suffix in ("png", "pdf")]
+    """`plot` writes every figure that suits as PNG, PDF and SVG below the results and prints their paths."""
+    ran = rrmctl("plot", "main-results", "--results", results, "--replicates", 100)
+    stems = ("main-results-laptop-box", "main-results-laptop", "main-results-laptop-profile")
+    paths = [results / "figures" / f"{stem}.{suffix}" for stem in stems for suffix in ("png", "pdf", "svg")]
     assert ran.stdout.split() == [str(path) for path in paths]
-    assert [path.read_bytes()[:4] for path in paths] == [b"\x89PNG", b"%PDF"]
+    assert [path.read_bytes()[:4] for path in paths] == [b"\x89PNG", b"%PDF", b"<?xm"] * 3
+
+
+def test_figure_form_and_width_can_be_chosen(results):
+    """`--figure`, `--format` and `--width` leave one file, which is named after a width that is not a page's."""
+    options = ("--figure", "box", "--format", "svg", "--width", "column")
+    ran = rrmctl("plot", "main-results", "--results", results, *options)
+    (path,) = (results / "figures").iterdir()
+    assert ran.stdout.split() == [str(path)]
+    assert path.name == "main-results-laptop-box-column.svg"
+    assert f'width="{3.3 * 72:g}pt"' in path.read_text()
+
+
+def test_a_figure_that_does_not_suit_is_named(results):
+    """A figure that is asked for by name and has nothing to show is a note, one that does not exist an error."""
+    ran = rrmctl("plot", "main-results", "--results", results, "--figure", "diagnostics")
+    assert (ran.exit_code, ran.stdout) == (0, "")
+    assert "nothing to draw in the figure diagnostics" in ran.stderr
+    unknown = rrmctl("plot", "main-results", "--results", results, "--figure", "boxes")
+    assert unknown.exit_code == 2
+    assert 'did you mean "box"' in unknown.stderr
 
 
 def test_figures_of_variants_do_not_overwrite_one_another(results, tmp_path):
     """Overrides put the variant's digits into the name; the paper's profile needs no mention."""
     Sweep(profile="paper", variant="paper-feed", overrides={"agent.batch": 64}).write(results)
     Sweep(profile="paper", variant="paper").write(results)
-    rrmctl("plot", "main-results", "--results", results, "-o", tmp_path / "out")
-    names = sorted(path.name for path in (tmp_path / "out").glob("*.png"))
+    options = ("--figure", "curves", "--format", "png")
+    rrmctl("plot", "main-results", "--results", results, "-o", tmp_path / "out", *options)
+    names = sorted(path.name for path in (tmp_path / "out").iterdir())
     assert names == ["main-results-laptop.png", "main-results-paper-feed.png", "main-results.png"]
 
 

@@ -9,18 +9,7 @@ from rrmctl.reports.canvas import encode
 from rrmctl.reports.figures.curves import learning_curves
 from rrmctl.reports.styles import style
 from tests.rrmctl.reports.frames import RISING, Sweep
-
-
-def panels(figure):
-    return [axes for axes in figure.findobj(mpl.axes.Axes) if axes.get_visible()]
-
-
-def legend(figure):
-    return [text.get_text() for found in figure.findobj(mpl.legend.Legend) for text in found.get_texts()]
-
-
-def words(figure):
-    return "\n".join(text.get_text() for text in figure.findobj(mpl.text.Text))
+from tests.rrmctl.reports.pictures import legend, panels, words
 
 
 def test_a_line_is_the_iqm_and_a_band_the_quartiles():
@@ -61,16 +50,17 @@ def test_missing_runs_stand_below_the_figure():
     """What was planned and is not drawn is named, and n follows it."""
     figure = learning_curves(*Sweep(states={("button-press", "pebble", 1): "failed"}).frames())
     assert "pebble (n = 4)" in legend(figure)
-    assert "14 of 15 planned runs. Not contained, failed:" in words(figure).replace("\n", " ")
+    assert "14 of 15 planned runs. Not contained, failed: button-press, pebble: seed 1." in words(figure)
 
 
 @pytest.mark.parametrize("count", [2, 3, 4, 5, 7, 10])
 @pytest.mark.parametrize("tasks", [("button-press",), ("button-press", "door-open")])
-def test_the_legend_stays_within_the_figure(tasks, count):
+@pytest.mark.parametrize("width", ["column", "page"])
+def test_the_legend_stays_within_the_figure(width, tasks, count):
     """However many methods there are, no entry is cut off at the figure's edge."""
     names = ["oracle", "pebble", *(f"{f}-{p}" for f in ("rrm", "sac") for p in ("sparse", "proxy", "language", "o2g"))]
     names = names[:count]
-    figure = learning_curves(*Sweep(curves=dict.fromkeys(names, ((0.1, 0.2),)), tasks=tasks).frames())
+    figure = learning_curves(*Sweep(curves=dict.fromkeys(names, ((0.1, 0.2),)), tasks=tasks).frames(), width=width)
     encode(figure, "png")
     (found,) = figure.findobj(mpl.legend.Legend)
     box, page = found.get_window_extent(), figure.bbox
@@ -101,35 +91,11 @@ def test_one_evaluation_is_visible():
     assert encode(figure, "png").startswith(b"\x89PNG")
 
 
-@pytest.mark.parametrize("form", ["png", "pdf"])
-def test_equal_figures_give_equal_bytes(form):
-    """No date or random name enters the file; drawing leaves matplotlib's global settings alone."""
-    before = dict(mpl.rcParams)
-    one, two = (encode(learning_curves(*Sweep().frames()), form) for _ in range(2))
-    assert one == two
-    assert dict(mpl.rcParams) == before
-
-
-def test_a_method_looks_the_same_everywhere():
-    """The look depends on the name alone; methods of the experiments differ in colour, marker or line."""
-    priors = ("proxy", "language", "imitation", "o2g", "h2o", "sparse", "zero", "opposite", "random")
-    names = [
-        "oracle",
-        "pebble",
-        "surf",
-        "mrn",
-        *(f"{f}-{p}" for f in ("rrm", "sac", "rrm-surf", "rrm-mrn") for p in priors),
-    ]
-    assert len({style(name) for name in names}) == len(names)
-    assert style("rrm-proxy").color == style("sac-proxy").color == style("rrm-surf-proxy").color
-    assert style("rrm-mine") == style("rrm-mine")
-
-
-def test_neighbours_differ_without_colour():
-    """In greyscale every pair of methods differs in marker or line."""
-    names = [
-        "oracle",
-        "pebble",
-        *(f"{f}-{p}" for f in ("rrm", "sac") for p in ("proxy", "o2g", "h2o", "sparse", "language")),
-    ]
-    assert len({style(name)[1:] for name in names}) == len(names)
+def test_many_missing_runs_take_few_words():
+    """Methods of a task that lack the same seeds are named together, and seeds in a row by their ends."""
+    keys = [("door-open", method, seed) for method in ("pebble", "rrm-proxy") for seed in range(5)]
+    states = dict.fromkeys(keys, "queued") | {("button-press", "pebble", seed): "queued" for seed in (0, 2)}
+    sweep = Sweep(tasks=("button-press", "door-open"), states=states, lengths=dict.fromkeys(states, 0))
+    told = words(learning_curves(*sweep.frames()))
+    which = "Not contained, queued: button-press, pebble: seeds 0, 2; door-open, pebble, rrm-proxy: seeds 0-4."
+    assert f"18 of 30 planned runs. {which}" in told

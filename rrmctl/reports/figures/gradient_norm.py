@@ -1,0 +1,120 @@
+"""Fine-tuning: the norm of the reward network's gradient over steps, across the change from one loss to the other.
+
+Drawn of runs that left `gradients.parquet`: of the method `finetune` and those after it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from rrmctl.reports.marks import band, contents, line, methods, panel_name, step_axis
+from rrmctl.reports.notebook import nothing, one_section
+from rrmctl.reports.series import Floats, Section, Series, Steps
+from rrmctl.reports.settings import DEFAULTS, Settings, Width
+from rrmctl.reports.sheet import Cell, cells_sheet
+from rrmctl.reports.styles import style
+from rrmctl.reports.words import title
+from rrmctl.stats import IqmKind, iqm
+from rrmctl.store.gradients import load_gradients
+
+if TYPE_CHECKING:
+    import pandas as pd
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+#: Over the length of a run: norms jump from minibatch to minibatch.
+_BINS = 60
+#: The loss after the change.
+_FINE_TUNING = "preferences"
+
+
+def suits(section: Section) -> bool:
+    """Some run left the norms of its gradients."""
+    return section.source is not None and any(
+        section.source.run(run).gradients.is_file() for each in section.series for run in each.runs
+    )
+
+
+def draw(section: Section, settings: Settings = DEFAULTS) -> Figure:
+    """A panel for each task, with the median norm in each sixtieth of the steps, before and after the change.
+
+    Raises:
+        UserError: no run left norms.
+        DamagedError: a file with norms cannot be read.
+    """
+    runs = [run for each in section.series for run in each.runs]
+    if section.source is None:
+        raise nothing(section, "no gradients beside the curves")
+    return _draw(section, load_gradients(section.source.root, runs), settings)
+
+
+def gradient_norms(
+    rows: pd.DataFrame,
+    gradients: pd.DataFrame,
+    jobs: pd.DataFrame | None = None,
+    *,
+    kind: IqmKind = "rliable",
+    width: Width = "page",
+) -> Figure:
+    """The same in a notebook: `gradients` as `rrmctl.store.load_gradients` returns it, the rest as for other figures.
+
+    Raises:
+        UserError: several variants or experiments at once, or no norms of these runs.
+    """
+    return _draw(one_section(rows, jobs), gradients, Settings(kind=kind, width=width))
+
+
+def _draw(section: Section, gradients: pd.DataFrame, settings: Settings) -> Figure:
+    told = set(gradients["run"])
+    panels = section.panels()
+    shown = {panel: [each for each in panel.present() if told.issuperset(each.runs)] for panel in panels}
+    if not any(shown.values()):
+        raise nothing(section, "no norms of gradients")
+    return cells_sheet(
+        title(section),
+        [
+            _cell(panel_name(panel, panels), series, gradients, settings.kind)
+            for panel, series in shown.items()
+            if series
+        ],
+        size=settings.width,
+        handles=methods(each for series in shown.values() for each in series),
+        notes=[
+            f"Median over the gradient steps in each {_BINS}th of the run, then the interquartile mean over seeds "
+            f"({settings.kind}). Band: 25 to 75 % of the seeds. Grey: where the loss changes.",
+            f"Norms of {len(told)} runs.",
+            *contents(section),
+        ],
+    )
+
+
+def _cell(name: str, shown: Sequence[Series], gradients: pd.DataFrame, kind: IqmKind) -> Cell:
+    def fill(axes: Axes) -> None:
+        last = max(int(each.steps[-1]) for each in shown)
+        for position, series in enumerate(shown):
+            own = gradients[gradients["run"].isin(series.runs)]
+            for _, phase in own.groupby(own["loss"] == _FINE_TUNING):
+                steps, norms = binned(phase, series.runs, last / _BINS)
+                if steps.size:
+                    look = style(series.label.method)
+                    line(axes, steps, iqm(norms, kind, axis=0), look, position)
+                    band(axes, steps, norms, look)
+            before = own["step"][own["loss"] != _FINE_TUNING]
+            if len(before):
+                axes.axvline(int(before.max()), color="#555555", linewidth=0.8, linestyle=(0, (3, 2)), zorder=1)
+        axes.set_yscale("log", nonpositive="clip")
+        step_axis(axes, last)
+
+    return Cell(name, "Norm of the reward's gradient", fill)
+
+
+def binned(gradients: pd.DataFrame, runs: Sequence[str], length: float) -> tuple[Steps, Floats]:
+    """Medians of each run in bins of `length` steps, where all runs have one: middles [T], and norms [S, T]."""
+    bins = (gradients["step"] // length).rename("bin")
+    table = gradients.groupby([gradients["run"], bins])["gradient_norm"].median().unstack("bin").reindex(list(runs))
+    table = table.dropna(axis="columns")
+    middles = (table.columns.to_numpy(dtype=np.float64) + 0.5) * length
+    return middles.astype(np.int64), table.to_numpy(dtype=np.float64)

@@ -1,0 +1,48 @@
+"""Norms of gradients that runs left beside their curves."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from rrmctl.store.atomic import DamagedError
+from rrmctl.store.layout import Layout, RunFolder
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+_COLUMNS = ("step", "loss", "gradient_norm")
+
+
+def load_gradients(results: str | Path, runs: Sequence[str]) -> pd.DataFrame:
+    """The norms of the gradients in the reward of these runs, at every gradient step.
+
+    Args:
+        results: the results root.
+        runs: their ids; those that left no `gradients.parquet` are left out.
+
+    Returns:
+        Columns `run`, `step` (environment steps), `loss` (text) and `gradient_norm`.
+
+    Raises:
+        DamagedError: a file cannot be read, or has other columns.
+    """
+    import pandas as pd
+
+    folders = (Layout(Path(results)).run(run) for run in dict.fromkeys(runs))
+    frames = [_read(folder) for folder in folders if folder.gradients.is_file()]
+    return pd.concat(frames, ignore_index=True) if frames else pd.DataFrame(columns=["run", *_COLUMNS])
+
+
+def _read(folder: RunFolder) -> pd.DataFrame:
+    import pandas as pd
+
+    hint = "train the run again with --force, or remove the file"
+    try:
+        frame = pd.read_parquet(folder.gradients)
+    except (OSError, ValueError) as error:  # pyarrow's errors are of these kinds
+        raise DamagedError(f"{folder.gradients} cannot be read: {error}", hint) from error
+    if tuple(frame.columns) != _COLUMNS:
+        raise DamagedError(f"{folder.gradients} is damaged: its columns are {', '.join(frame.columns)}", hint)
+    return frame.astype({"loss": str}).assign(run=folder.id)[["run", *_COLUMNS]]
