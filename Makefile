@@ -6,7 +6,7 @@ PYTHON ?= $(shell for p in python3 python3.12 python3.11; do \
 BIN := .venv/bin
 PYTEST := $(BIN)/python -m pytest
 
-.PHONY: quickstart test test-slow check install bench clean
+.PHONY: quickstart test test-slow check install bench soak clean
 
 quickstart: install
 	$(BIN)/rrmctl run quickstart
@@ -24,6 +24,10 @@ check: install
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
 	$(BIN)/mypy
+
+MINUTES ?= 20
+soak: install
+	$(BIN)/python -m tests.soak --minutes $(MINUTES)
 
 bench: .venv/benched
 	$(BIN)/python -m benchmarks $(BENCHMARKS)
