@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Callable, Sequence
 from enum import StrEnum
 from pathlib import Path
@@ -68,6 +69,17 @@ IqmOption = Annotated[
         "runs at the quartiles (four count fully, two by half).",
     ),
 ]
+MixedOption = Annotated[
+    bool,
+    typer.Option(
+        "--allow-mixed",
+        help="Take runs together that differ in configuration version, precision, package or simulator, and say so.",
+    ),
+]
+PlusMinusOption = Annotated[
+    bool,
+    typer.Option("--plus-minus", help="The paper's form: one cell a value, ± half the width of its interval."),
+]
 ReplicatesOption = Annotated[
     int, typer.Option("--replicates", min=100, help="Resampled data sets behind each interval.")
 ]
@@ -93,6 +105,8 @@ def _table(entry: Entry) -> Callable[..., None]:
         kind: IqmOption = Iqm.RLIABLE,
         profile: ProfileOption = None,
         replicates: ReplicatesOption = 10_000,
+        allow_mixed: MixedOption = False,
+        plus_minus: PlusMinusOption = False,
     ) -> None:
         from rrmctl.reports.render import console_for, print_terminal, to_text
         from rrmctl.reports.select import of_profile, read_sections
@@ -101,8 +115,8 @@ def _table(entry: Entry) -> Callable[..., None]:
         from rrmctl.store.layout import Layout
 
         module = entry.load()
-        settings = Settings(kind=kind.value, replicates=replicates)
-        found = read_sections(results, _stem(name) or module.EXPERIMENT)
+        settings = Settings(kind=kind.value, replicates=replicates, plus_minus=plus_minus)
+        found = read_sections(results, _stem(name) or module.EXPERIMENT, allow_mixed=allow_mixed)
         shown = module.make(of_profile(found, profile), settings)
         if output is not None:
             _write(output, to_text(shown, form.value).encode())
@@ -113,9 +127,18 @@ def _table(entry: Entry) -> Callable[..., None]:
         try:
             if hasattr(module, "keep"):
                 module.keep(Layout(results), found, settings)
-        except StorageError as error:  # the table is what was asked for; a store one may only read still has one
+        except (StorageError, UserError) as error:  # the table is what was asked for, and it is there
             typer.echo(f"note: the curves were not kept: {error}", err=True)
 
+    return _without(command, {"plus_minus"} - set(entry.options))
+
+
+def _without(command: Callable[..., None], options: set[str]) -> Callable[..., None]:
+    """The command as typer sees it, less the options that this table has not."""
+    whole = inspect.signature(command, eval_str=True)
+    command.__signature__ = whole.replace(  # type: ignore[attr-defined]
+        parameters=[each for name, each in whole.parameters.items() if name not in options]
+    )
     return command
 
 
@@ -145,6 +168,7 @@ def plot(
     kind: IqmOption = Iqm.RLIABLE,
     profile: ProfileOption = None,
     replicates: ReplicatesOption = 10_000,
+    allow_mixed: MixedOption = False,
 ) -> None:
     """Draw the figures that suit an experiment as PNG, PDF and SVG and print their paths."""
     from rrmctl.reports.canvas import encode
@@ -153,7 +177,8 @@ def plot(
 
     drawn = {figure: entry.load() for figure, entry in _chosen(wanted).items()}
     settings = Settings(kind=kind.value, replicates=replicates, width=width.value)
-    for section in _with_runs(of_profile(read_sections(results, _stem(name)), profile)):
+    found = read_sections(results, _stem(name), allow_mixed=allow_mixed)
+    for section in _with_runs(of_profile(found, profile)):
         for figure, module in drawn.items():
             if not module.suits(section):
                 if wanted:

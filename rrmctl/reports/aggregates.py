@@ -15,6 +15,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
+from rrmctl.errors import UserError
 from rrmctl.reports.settings import DEFAULTS, Settings
 from rrmctl.reports.tables import CURVE_COLUMNS, curve_table
 from rrmctl.store.atomic import write_bytes
@@ -42,19 +43,24 @@ def write(layout: Layout, sections: Sequence[Section], settings: Settings = DEFA
     """Replace the files of all experiments in `sections`, each as a whole.
 
     Raises:
+        UserError: some hold runs that do not belong together, which a file has no room to say; theirs stay as they are.
         StorageError: the results folder takes no write; the old files are untouched.
     """
     import pandas as pd
     import pyarrow as pa
     import pyarrow.parquet as pq
 
-    curves = pd.concat([curve_table(section, settings) for section in sections], ignore_index=True)
-    for experiment, rows in curves.groupby("experiment", sort=False):
+    mixed = {section.experiment for section in sections if section.mixed}
+    tables = [curve_table(section, settings) for section in sections if section.experiment not in mixed]
+    curves = pd.concat(tables, ignore_index=True).groupby("experiment", sort=False) if tables else ()
+    for experiment, rows in curves:
         buffer = pa.BufferOutputStream()
         # from_pandas=False: a NaN stays a number and does not become a null.
         columns = [pa.array(rows[name].to_numpy(), kind, from_pandas=False) for name, kind in _kinds()]
         pq.write_table(pa.Table.from_arrays(columns, schema=schema()), buffer)
         write_bytes(layout.aggregate(str(experiment)), buffer.getvalue().to_pybytes())
+    if mixed:
+        raise UserError(f"{', '.join(sorted(mixed))}: runs that are mixed are not kept as one curve")
 
 
 def _kinds() -> list[tuple[str, pa.DataType]]:

@@ -7,10 +7,10 @@ finished yet, of those under way. Failed runs never count. Whatever was planned 
 
 from __future__ import annotations
 
+import dataclasses
 import json
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -19,9 +19,10 @@ import numpy as np
 from rrm.envs.tasks import task
 from rrmctl.errors import UserError
 from rrmctl.planning.manifest import nearest
+from rrmctl.reports import mixing
+from rrmctl.reports.mixing import Making
 from rrmctl.reports.series import Absent, Label, Section, Series, by_seed
-from rrmctl.store.layout import Layout
-from rrmctl.store.reader import load, open_results, planned, read_config
+from rrmctl.store.reader import load, open_results, planned
 from rrmctl.store.trials import read_trial
 
 if TYPE_CHECKING:
@@ -31,8 +32,13 @@ _COLUMN = {"success": "success", "return": "true_return"}
 _UNDER_WAY = ("running", "interrupted", "queued")
 
 
-def read_sections(results: str | Path, experiment: str | None = None) -> tuple[Section, ...]:
+def read_sections(
+    results: str | Path, experiment: str | None = None, *, allow_mixed: bool = False
+) -> tuple[Section, ...]:
     """The sections of one experiment, or of all in the store, from the files below `results`.
+
+    Args:
+        allow_mixed: take runs together that were made by different versions or precisions, and say so in the section.
 
     Raises:
         UserError: no such results folder or experiment there, a damaged file, or runs that do not belong together.
@@ -43,14 +49,27 @@ def read_sections(results: str | Path, experiment: str | None = None) -> tuple[S
         raise UserError(f"{layout.root} holds no experiment yet", "start one, e.g. `rrmctl run quickstart`")
     if experiment is not None and experiment not in known:
         near = nearest(experiment, known)
-        start = "" if near else f"; `rrmctl run {experiment}` starts it"
+        start = "" if near else "; `rrmctl list` names what there is to run"
         raise UserError(f'{layout.root} holds no runs of "{experiment}"{near}', f"it holds: {', '.join(known)}{start}")
     rows, jobs = load(results, experiment), planned(results, experiment)
-    # Runs that no sweep asked for have no labels to be reported under.
-    found = sections(rows[rows["experiment"] != ""], jobs, evaluation=_evaluation(layout, rows))
-    return tuple(
-        replace(each, trial=read_trial(layout, each.experiment, each.variant), source=layout) for each in found
-    )
+    rows = rows[rows["experiment"] != ""]  # runs that no sweep asked for have no labels to be reported under
+    begun = [run for run in jobs["run"] if layout.run(run).config.exists()]
+    makings = mixing.read_makings(layout, list(dict.fromkeys([*rows["run"], *begun])))
+    found = []
+    for each in sections(rows, jobs, makings=makings):
+        mixed = mixing.mixture(each, makings)
+        if mixed and not allow_mixed:
+            raise mixing.refuse(each, mixed, str(results))
+        trial = read_trial(layout, each.experiment, each.variant)
+        marked = _marked(each, mixing.told(mixed), tuple(mixing.remarks(each, makings)))
+        found.append(dataclasses.replace(marked, trial=trial, source=layout))
+    return tuple(found)
+
+
+def _marked(section: Section, mixed: Sequence[str], remarks: tuple[str, ...]) -> Section:
+    """The section with what is to be said of how its runs were made."""
+    loud = tuple(f"MIXED: {each}." for each in mixed)
+    return dataclasses.replace(section, problems=(*section.problems, *loud), mixed=tuple(mixed), remarks=remarks)
 
 
 def of_profile(found: Sequence[Section], profile: str | None) -> tuple[Section, ...]:
@@ -76,19 +95,12 @@ def of_profile(found: Sequence[Section], profile: str | None) -> tuple[Section, 
     return tuple(chosen)
 
 
-def _evaluation(layout: Layout, rows: pd.DataFrame) -> dict[str, dict[str, Any] | None]:
-    """The evaluation settings of each cell, read from one of its runs."""
-    one = rows.drop_duplicates("cell")
-    return {
-        cell: read_config(layout.run(run)).get("evaluation") for cell, run in zip(one["cell"], one["run"], strict=True)
-    }
-
-
 def sections(
     rows: pd.DataFrame,
     jobs: pd.DataFrame | None = None,
     *,
     evaluation: Mapping[str, Mapping[str, Any] | None] | None = None,
+    makings: Mapping[str, Making] | None = None,
 ) -> tuple[Section, ...]:
     """Split the store's rows into sections that may each be reported as a whole.
 
@@ -96,16 +108,20 @@ def sections(
         rows: as `rrmctl.store.load` returns them.
         jobs: as `rrmctl.store.planned` returns them; without it the runs in `rows` are taken for the whole plan.
         evaluation: for each cell its evaluation settings (`success`, `deterministic`), where known.
+        makings: for each run how it was made, of which `evaluation` is then taken; without it all are taken for alike.
 
     Raises:
         UserError: one series holds runs of several configurations, or an unknown task.
     """
     if jobs is None:
         jobs = rows.drop_duplicates(["experiment", "variant", *Label._fields, "run"]).assign(overrides="{}")
-    found = []
-    for key in dict.fromkeys(zip(jobs["experiment"], jobs["variant"], strict=True)):
-        found.append(_section(_of_variant(rows, key), _of_variant(jobs, key), evaluation or {}))
-    return tuple(found)
+    makings = makings or {}
+    known = {cell: makings[run].config.get("evaluation") for cell, run in _distinct(rows, "cell", "run") if makings}
+    versions = {run: made.version for run, made in makings.items()}
+    keys = dict.fromkeys(zip(jobs["experiment"], jobs["variant"], strict=True))
+    return tuple(
+        _section(_of_variant(rows, key), _of_variant(jobs, key), evaluation or known, versions) for key in keys
+    )
 
 
 def _of_variant(table: pd.DataFrame, key: tuple[str, str]) -> pd.DataFrame:
@@ -113,18 +129,27 @@ def _of_variant(table: pd.DataFrame, key: tuple[str, str]) -> pd.DataFrame:
     return table[(table["experiment"] == experiment) & (table["variant"] == variant)]
 
 
-def _section(rows: pd.DataFrame, jobs: pd.DataFrame, evaluation: Mapping[str, Mapping[str, Any] | None]) -> Section:
+def _section(
+    rows: pd.DataFrame,
+    jobs: pd.DataFrame,
+    evaluation: Mapping[str, Mapping[str, Any] | None],
+    versions: Mapping[str, int],
+) -> Section:
     problems: list[str] = []
-    series, absent = [], []
+    series, absent, old = [], [], set[str]()
     for label in _ordered(Label(*row) for row in jobs[list(Label._fields)].itertuples(index=False)):
         asked = _labelled(jobs, label)
-        each = _series(label, _labelled(rows, label), len(asked), problems)
-        series.append(each)
+        each = _series(label, _labelled(rows, label), versions, problems)
+        replaced = _replaced(each, asked, versions)
+        asked, old = asked[~asked["run"].isin(replaced)], old | replaced
+        series.append(dataclasses.replace(each, planned=len(asked)))
         absent += [
             Absent(label, int(seed), run, state)
             for seed, run, state in zip(asked["seed"], asked["run"], asked["state"], strict=True)
             if run not in each.runs
         ]
+    if old:
+        problems.append(f"{len(old)} runs of older configuration versions are left out: newer ones take their place")
     used = rows[rows["run"].isin([run for each in series for run in each.runs])]
     protocols = [_protocol(episodes, evaluation.get(cell)) for cell, episodes in _distinct(used, "cell", "episodes")]
     first = jobs.iloc[0]
@@ -135,10 +160,17 @@ def _section(rows: pd.DataFrame, jobs: pd.DataFrame, evaluation: Mapping[str, Ma
         overrides=json.loads(first["overrides"]),
         series=tuple(series),
         absent=tuple(absent),
-        planned=int(jobs["run"].nunique()),
+        planned=int(jobs["run"].nunique()) - len(old),
         evaluation=tuple(dict.fromkeys(protocols)),
         problems=tuple(problems),
     )
+
+
+def _replaced(series: Series, asked: pd.DataFrame, versions: Mapping[str, int]) -> set[str]:
+    """Runs in place of which the series has one of a newer configuration version."""
+    newest = {seed: versions.get(run, 0) for seed, run in zip(series.seeds, series.runs, strict=True)}
+    pairs = zip(asked["run"], asked["seed"], strict=True)
+    return {run for run, seed in pairs if run in versions and versions[run] < newest.get(seed, 0)}
 
 
 def _ordered(labels: Iterable[Label]) -> list[Label]:
@@ -170,12 +202,16 @@ def _protocol(episodes: int, settings: Mapping[str, Any] | None) -> str:
     return f"{told}, {success[settings['success']]}, {policy}"
 
 
-def _series(label: Label, rows: pd.DataFrame, asked: int, problems: list[str]) -> Series:
-    """The series of one label; adds to `problems` what had to be left out of it."""
+def _series(label: Label, rows: pd.DataFrame, versions: Mapping[str, int], problems: list[str]) -> Series:
+    """The series of one label, as if its runs were all that was planned; adds to `problems` what was left out of it."""
     score = task(label.task).score
     done = rows[rows["state"] == "done"]
     used = done if len(done) else rows[rows["state"].isin(_UNDER_WAY)]
-    _one_cell(label, used)
+    age = used["run"].map(lambda run: versions.get(run, 0))
+    newest = age.groupby(used["seed"]).transform("max")
+    used = used[age == newest]
+    for _, alike in used.groupby(age[age == newest]):  # versions differ in their cells; whether they meet is mixing's
+        _one_cell(label, alike)
     who = _distinct(used.sort_values("seed"), "seed", "run")
     steps, values = by_seed(used, _COLUMN[score])
     finite = np.isfinite(values).all(axis=0)
@@ -195,7 +231,7 @@ def _series(label: Label, rows: pd.DataFrame, asked: int, problems: list[str]) -
         values=values,
         seeds=tuple(int(seed) for seed, _ in who),
         runs=tuple(str(run) for _, run in who),
-        planned=asked,
+        planned=len(who),
         finished=len(done) > 0,
         rows=used,
     )

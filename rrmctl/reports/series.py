@@ -123,7 +123,9 @@ class Section:
     absent: tuple[Absent, ...]
     planned: int  #: runs that were asked for
     evaluation: tuple[str, ...]  #: the protocol behind the scores; several where methods differ
-    problems: tuple[str, ...]  #: what had to be left out of a series, and why
+    problems: tuple[str, ...]  #: what had to be left out of a series, or was let in against the rule, and why
+    mixed: tuple[str, ...] = ()  #: in what its runs differ and should not, where a reader allowed it
+    remarks: tuple[str, ...] = ()  #: how its runs were made, as far as a reader must know
     trial: Trial | None = None  #: the rules of the sequential test that was begun on it
     source: Layout | None = None  #: the store it was read from, for what runs leave beside their curves
 

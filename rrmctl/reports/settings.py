@@ -22,6 +22,7 @@ class Settings:
     kind: IqmKind = "rliable"
     replicates: int = REPLICATES
     width: Width = "page"
+    plus_minus: bool = False  #: the paper's form of a table that has one: half an interval's width behind a sign
 
 
 DEFAULTS = Settings()

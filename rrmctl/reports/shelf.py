@@ -1,7 +1,7 @@
 """Folders whose modules are commands: a table or a figure is added as one file, and the command line shows it.
 
-A module's name is the command's, its docstring the command's help. Both are read without importing it, so that `--help`
-stays quick.
+A module's name is the command's, its docstring the command's help, `OPTIONS` names those of its own. All are read
+without importing it, so that `--help` stays quick.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ class Entry:
     name: str  #: as people write it
     help: str
     path: str  #: dotted
+    options: tuple[str, ...] = ()  #: that only some of the shelf have
 
     def load(self) -> ModuleType:
         """Import the module."""
@@ -36,6 +37,14 @@ def entries(folder: str, package: str) -> dict[str, Entry]:
     found = {}
     for path in sorted(Path(folder).parent.glob("[!_]*.py")):
         name = path.stem.replace("_", "-")
-        words = ast.get_docstring(ast.parse(path.read_bytes())) or ""
-        found[name] = Entry(name, words, f"{package}.{path.stem}")
+        module = ast.parse(path.read_bytes())
+        found[name] = Entry(name, ast.get_docstring(module) or "", f"{package}.{path.stem}", _options(module))
     return found
+
+
+def _options(module: ast.Module) -> tuple[str, ...]:
+    """The literal that a module gives the name OPTIONS."""
+    for node in module.body:
+        if isinstance(node, ast.Assign) and [ast.unparse(target) for target in node.targets] == ["OPTIONS"]:
+            return tuple(ast.literal_eval(node.value))
+    return ()

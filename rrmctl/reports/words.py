@@ -29,6 +29,8 @@ def facts(section: Section, settings: Settings) -> dict[str, Any]:
             {**each.label._asdict(), "seed": each.seed, "run": each.run, "state": each.state} for each in section.absent
         ],
         "problems": list(section.problems),
+        "mixed": list(section.mixed),
+        "remarks": list(section.remarks),
     }
 
 
@@ -51,6 +53,7 @@ def contents_notes(section: Section) -> Iterator[str]:
     yield f"{section.contained} of {section.planned} planned runs; column n says how many of each row's."
     yield from absent_notes(section)
     yield from section.problems
+    yield from section.remarks
 
 
 def absent_notes(section: Section) -> Iterator[str]:

@@ -88,6 +88,22 @@ def record(folder: RunFolder, now: Provenance) -> list[str]:
     return [f"{name}: {before} -> {after}" for name, (before, after) in changes.items()]
 
 
+def made_with(folder: RunFolder) -> dict[str, str]:
+    """The compared facts of a run by dotted name; `a, then b` where a later attempt differed. Empty without a record.
+
+    Raises:
+        DamagedError: the file that is there is damaged.
+    """
+    known = read_json(folder.provenance)
+    if known is None:
+        return {}
+    facts = _flat(known)
+    for entry in known.get("resumed", []):
+        for name, (before, after) in entry["changes"].items():
+            facts[name] = f"{facts.get(name, before)}, then {after}"
+    return facts
+
+
 def differences(before: Mapping[str, Any], after: Mapping[str, Any]) -> dict[str, tuple[str, str]]:
     """Facts that can change numbers and differ, by dotted name, with both values; one that is missing is "absent"."""
     old, new = _flat(before), _flat(after)

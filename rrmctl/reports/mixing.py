@@ -1,0 +1,164 @@
+"""How the runs of a section were made: what must be equal among them, and what may differ but is said.
+
+Numbers depend on more than the settings of a run. Runs of different configuration versions, packages, simulators or
+precisions are not averaged or compared, unless a reader asks for it; then every form of the report says so.
+"""
+
+from __future__ import annotations
+
+import shlex
+from collections import defaultdict
+from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+from rrmctl.errors import UserError
+from rrmctl.reports.series import NOTHING_ASKED, Label, Section
+from rrmctl.store.layout import Layout, RunFolder
+from rrmctl.store.provenance import made_with
+from rrmctl.store.reader import read_config
+
+VERSION = "configuration version"
+PRECISION = "precision"
+TRUE_REWARD = "true reward on fixed states"
+CODE = "code"
+
+#: Packages that every run uses, and what each environment says of itself (its simulator among it), as recorded.
+_PACKAGES = {"versions.rrmctl": "rrmctl", "versions.torch": "torch"}
+_ENVIRONMENT = "fingerprint."
+#: So many series are named in a message; of more, how many there are.
+_NAMED = 6
+
+
+@dataclass(frozen=True)
+class Making:
+    """How one run was made."""
+
+    config: Mapping[str, Any]  #: its `config.json`
+    facts: Mapping[str, str]  #: what decides its numbers beside the settings, by name; what is not recorded is left out
+    code: str | None  #: digest of the library's sources; None where nothing was recorded
+
+    @property
+    def version(self) -> int:
+        """Of its configuration."""
+        return int(self.config["config_version"])
+
+
+class Made(NamedTuple):
+    """A run in a section."""
+
+    label: Label
+    seed: int
+    run: str
+
+
+#: What differs, and for each value the runs that have it.
+Mixture = Mapping[str, Mapping[str, Sequence[Made]]]
+
+
+def read_makings(layout: Layout, runs: Sequence[str]) -> dict[str, Making]:
+    """How each of these runs was made, by id.
+
+    Raises:
+        DamagedError: a configuration or provenance cannot be read.
+        UserError: a run has no configuration.
+    """
+    with ThreadPoolExecutor(max_workers=8) as threads:  # on network disks the waiting counts most
+        return dict(zip(runs, threads.map(lambda run: _read(layout.run(run)), runs), strict=True))
+
+
+def _read(folder: RunFolder) -> Making:
+    config, recorded = read_config(folder), made_with(folder)
+    facts = {VERSION: str(config["config_version"]), PRECISION: str(config["precision"])}
+    facts |= {name: recorded[key] for key, name in _PACKAGES.items() if key in recorded}
+    for key in (key for key in recorded if key.startswith(_ENVIRONMENT)):
+        name = key.removeprefix(_ENVIRONMENT)
+        facts.setdefault(TRUE_REWARD if name == "true_reward" else name, recorded[key])
+    return Making(config, facts, recorded.get(CODE))
+
+
+def mixture(section: Section, makings: Mapping[str, Making]) -> Mixture:
+    """What differs among the runs of a section and must not.
+
+    A method's precision is part of what the method is, so it is compared among the runs of one method; the true reward
+    among those of one task; everything else among all.
+    """
+    found: dict[str, dict[str, list[Made]]] = defaultdict(lambda: defaultdict(list))
+    for made in _runs(section):
+        for fact, value in makings[made.run].facts.items():
+            scope = {PRECISION: f" of {made.label.method}", TRUE_REWARD: f" of {made.label.task}"}.get(fact, "")
+            found[fact + scope][value].append(made)
+    return {fact: dict(sorted(values.items())) for fact, values in found.items() if len(values) > 1}
+
+
+def told(mixed: Mixture) -> list[str]:
+    """A sentence for each fact in which the runs differ."""
+    return [
+        f"{fact} is " + "; ".join(f"{value} in {_which(runs)}" for value, runs in values.items())
+        for fact, values in mixed.items()
+    ]
+
+
+def remarks(section: Section, makings: Mapping[str, Making]) -> Iterator[str]:
+    """What may differ among the runs and is said all the same."""
+    runs = {made.run: made for made in _runs(section)}
+    states = {makings[run].code for run in runs} - {None}
+    if len(states) > 1:
+        yield f"The runs were made by {len(states)} states of the code (digests of its sources)."
+    unknown = [made for run, made in runs.items() if makings[run].code is None]
+    if unknown:
+        yield f"Nothing was recorded of how these were made, and nothing could be compared: {_which(unknown)}."
+    precisions: dict[str, dict[str, None]] = defaultdict(dict)
+    for run, made in runs.items():
+        precisions[makings[run].facts[PRECISION]][made.label.method] = None
+    if len(precisions) > 1:
+        which = "; ".join(f"{name}: {', '.join(methods)}" for name, methods in sorted(precisions.items()))
+        yield f"Methods differ in precision: {which}."
+
+
+def refuse(section: Section, mixed: Mixture, results: str) -> UserError:
+    """What to say where runs differ that should not."""
+    versions = mixed.get(VERSION)
+    if versions is not None:
+        newest = max(versions, key=int)
+        old = [made for value, runs in versions.items() if value != newest for made in runs]
+        command = _command(section, old, results)
+        way = f"`{command}` trains those of the older version anew, and they are then left out"
+    else:
+        fewest = min(next(iter(mixed.values())).values(), key=len)
+        way = f"`{_command(section, fewest, results)} --force` trains the fewer ones anew"
+    where = f"{section.experiment}, profile {section.profile}"
+    return UserError(
+        f"{where}: its runs do not belong in one report: {'. '.join(told(mixed))}",
+        f"{way}; --allow-mixed reports them together and says so",
+    )
+
+
+def _runs(section: Section) -> Iterator[Made]:
+    for series in section.series:
+        yield from (Made(series.label, seed, run) for seed, run in zip(series.seeds, series.runs, strict=True))
+
+
+def _which(runs: Sequence[Made]) -> str:
+    """How many runs, of which series."""
+    names = list(dict.fromkeys(_name(made.label) for made in runs))
+    more = [f"and {len(names) - _NAMED} more"] if len(names) > _NAMED else []
+    count = len({made.run for made in runs})
+    return f"{count} run{'s' if count != 1 else ''} ({', '.join([*names[:_NAMED], *more])})"
+
+
+def _name(label: Label) -> str:
+    return " ".join([label.task, label.method, *(word for word in label[2:] if word != NOTHING_ASKED)])
+
+
+def _command(section: Section, runs: Sequence[Made], results: str) -> str:
+    """The sweep that covers these runs."""
+    words = ["rrmctl", "run", section.experiment, "--profile", section.profile]
+    for key, value in section.overrides.items():
+        words += ["--set", f"{key}={value}"]
+    for option, names in (("--tasks", (r.label.task for r in runs)), ("--methods", (r.label.method for r in runs))):
+        words += [option, ",".join(dict.fromkeys(names))]
+    seeds = sorted({made.seed for made in runs})
+    words += ["--seeds", ",".join(map(str, seeds)) + ("," if len(seeds) == 1 else "")]
+    return shlex.join([*words, "--results", results])
