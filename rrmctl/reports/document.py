@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections import defaultdict
+from collections.abc import Hashable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
+
+from rrmctl.reports.series import ORACLE
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -15,6 +18,9 @@ if TYPE_CHECKING:
 #: Stands where there is nothing to say.
 NOTHING = "–"
 
+#: Row and column.
+Cell = tuple[int, int]
+
 
 @dataclass(frozen=True)
 class Grid:
@@ -23,15 +29,13 @@ class Grid:
     header: tuple[str, ...]
     rows: tuple[tuple[str, ...], ...]
     words: int = 1  #: so many columns from the left hold names, the others numbers
-    best: frozenset[tuple[int, int]] = frozenset()  #: (row, column) of what is to be set in bold
+    best: frozenset[Cell] = frozenset()  #: (row, column) of what is to be set in bold
 
     def __post_init__(self) -> None:
         assert all(len(row) == len(self.header) for row in self.rows)
 
     @classmethod
-    def of(
-        cls, columns: dict[str, Sequence[str]], *, words: int, best: frozenset[tuple[int, int]] = frozenset()
-    ) -> Grid:
+    def of(cls, columns: dict[str, Sequence[str]], *, words: int, best: frozenset[Cell] = frozenset()) -> Grid:
         """From columns of text, by heading."""
         return cls(tuple(columns), tuple(zip(*columns.values(), strict=True)), words, best)
 
@@ -44,6 +48,34 @@ class Grid:
         """The rows, with a name in the first column only where a group of them begins."""
         begins = [True, *self.ends()]
         return [row if begins[at] else ("", *row[1:]) for at, row in enumerate(self.rows)]
+
+
+def highest(entries: Iterable[tuple[Cell, Hashable, float]]) -> frozenset[Cell]:
+    """The cells with the greatest number of their group; equals all count, NaN never does.
+
+    Args:
+        entries: cells, the group in which each is compared, and its number.
+    """
+    groups: dict[Hashable, dict[Cell, float]] = defaultdict(dict)
+    for cell, group, value in entries:
+        if not math.isnan(value):
+            groups[group][cell] = value
+    tops = [(group, max(group.values())) for group in groups.values()]
+    return frozenset(c for group, top in tops for c, v in group.items() if math.isclose(v, top, abs_tol=1e-12))
+
+
+def best_methods(table: pd.DataFrame, value: str, by: Sequence[str], column: int) -> frozenset[Cell]:
+    """The cells of the best methods of a table with a row for each, the oracle outside the comparison.
+
+    Args:
+        table: with a column `method`.
+        value: the column to compare.
+        by: the columns that tell one comparison from another.
+        column: of the grid.
+    """
+    groups = table[list(by)].itertuples(index=False, name=None)
+    rows = enumerate(zip(groups, table["method"], table[value], strict=True))
+    return highest(((at, column), group, number) for at, (group, method, number) in rows if method != ORACLE)
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,3 +108,11 @@ def spread(low: float, high: float, score: Score, form: str = "[{}, {}]") -> str
 def interval(low: float, high: float, score: Score, n: int) -> str:
     """An interval as [low, high], or why there is none."""
     return "n < 3" if n > 0 and math.isnan(low) else spread(low, high, score)
+
+
+def plus_minus(value: float, half: float, score: Score) -> str:
+    """The paper's form: a value and half the width of its interval, in percent for success; the value where none is."""
+    if math.isnan(value):
+        return NOTHING
+    middle = number(value, score).removesuffix(" %")
+    return middle if math.isnan(half) else f"{middle} ± {number(half, score).removesuffix(' %')}"

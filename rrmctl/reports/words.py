@@ -10,6 +10,9 @@ from typing import Any
 from rrmctl.reports.series import NOTHING_ASKED, Label, Section
 from rrmctl.reports.settings import BOOTSTRAP_SEED, LEVEL, Settings
 
+#: Of tables that set the best method in bold.
+BEST_NOTE = "Bold: the highest of the methods but the oracle; where intervals overlap, that may be chance."
+
 
 def facts(section: Section, settings: Settings) -> dict[str, Any]:
     """What a program must know of a table, in JSON values."""
@@ -34,9 +37,21 @@ def facts(section: Section, settings: Settings) -> dict[str, Any]:
     }
 
 
-def title(section: Section) -> str:
-    """Experiment, profile and overrides in one line."""
-    text = f"{section.experiment} · profile {section.profile}"
+def merged_facts(name: str, sections: Sequence[Section], settings: Settings) -> dict[str, Any]:
+    """The same of a table made of several experiments of one profile."""
+    each = [facts(section, settings) for section in sections]
+    merged = {key: [item for found in each for item in found[key]] for key, value in each[0].items() if _listed(value)}
+    counts = {key: sum(found[key] for found in each) for key in ("planned_runs", "contained_runs")}
+    return each[0] | merged | counts | {"experiment": name, "experiments": [found["experiment"] for found in each]}
+
+
+def _listed(value: Any) -> bool:
+    return isinstance(value, list)
+
+
+def title(section: Section, name: str | None = None) -> str:
+    """Experiment (or another name), profile and overrides in one line."""
+    text = f"{name or section.experiment} · profile {section.profile}"
     if section.profile == "smoke":
         text += " (machinery only, not results)"
     if section.overrides:

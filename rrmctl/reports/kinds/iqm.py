@@ -12,11 +12,11 @@ from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
 from rrmctl.reports import aggregates
-from rrmctl.reports.document import NOTHING, Grid, Report, interval, number, spread
+from rrmctl.reports.document import NOTHING, Grid, Report, best_methods, interval, number, spread
 from rrmctl.reports.series import Panel, Section
 from rrmctl.reports.settings import Settings
 from rrmctl.reports.tables import ALL_TASKS, across_tasks, iqm_table
-from rrmctl.reports.words import contents_notes, facts, statistics_notes, title
+from rrmctl.reports.words import BEST_NOTE, contents_notes, facts, statistics_notes, title
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -58,7 +58,8 @@ def _grid(table: pd.DataFrame) -> Grid:
     columns["25-75 %"] = [spread(row["q25"], row["q75"], row["score"], "{}..{}") for row in rows]
     columns["n"] = [f"{row['n']}/{row['planned']}" for row in rows]
     columns["AUC"] = [number(row["auc"], row["score"]) for row in rows]
-    return Grid.of(columns, words=words)
+    best = best_methods(table, "iqm", ("task", "teacher", "feedback"), list(columns).index("IQM"))
+    return Grid.of(columns, words=words, best=best)
 
 
 def _step(row: dict[Any, Any]) -> str:
@@ -75,6 +76,7 @@ def _notes(section: Section, settings: Settings) -> Iterator[str]:
         yield _step_note(panel.task if alone else f"{panel.task} ({panel.teacher}, {panel.feedback})", panel)
     if across_tasks(panels):
         yield f'"{ALL_TASKS}" pools the seeds of all tasks that are read by success, each at its own step.'
+    yield BEST_NOTE
     yield "AUC: area under the IQM curve over the steps common to a task's methods, divided by their span."
     yield from statistics_notes(section, settings)
 

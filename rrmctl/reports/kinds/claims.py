@@ -1,0 +1,118 @@
+"""The claims of the paper's prose: held, not held, or not enough data.
+
+Each claim is one or more comparisons, settled only where the whole 95 %
+interval lies on one side. The table shows the comparison on which the
+verdict rests; csv and json have them all. Profiles are judged apart, and
+any but the paper's is named in the verdict.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING, Any
+
+from rrmctl.reports.document import NOTHING, Grid, Report, interval, number
+from rrmctl.reports.judging import Judgement, at_profile, judge
+from rrmctl.reports.prose import CLAIMS
+from rrmctl.reports.series import Section
+from rrmctl.reports.settings import DEFAULTS, Settings
+from rrmctl.reports.words import contents_notes, merged_facts, statistics_notes, title
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+EXPERIMENT = None
+
+COLUMNS = (
+    "claim", "says", "where", "asks", "verdict", "task", "comparison", "reading", "unit", "found", "low", "high", "n",
+    "comparison_verdict", "why", "decides",
+)  # fmt: skip
+
+
+def make(sections: Sequence[Section], settings: Settings) -> list[Report]:
+    """A table for each profile and set of overrides."""
+    return [_report(alike, settings) for alike in _variants(sections)]
+
+
+def table(sections: Sequence[Section], settings: Settings = DEFAULTS) -> pd.DataFrame:
+    """One row per comparison of each claim: columns `COLUMNS`.
+
+    Args:
+        sections: of one profile and set of overrides, one an experiment.
+        settings: how the intervals are made.
+    """
+    import pandas as pd
+
+    first = sections[0]
+    rows = [row for each in _judged(sections, settings) for row in _rows(each, at_profile(each.verdict, first))]
+    return pd.DataFrame(rows, columns=list(COLUMNS)).astype({"n": "Int64"})
+
+
+def _variants(sections: Sequence[Section]) -> list[list[Section]]:
+    """Sections of equal profile and overrides together."""
+    found: dict[tuple[str, str], list[Section]] = {}
+    for section in sections:
+        found.setdefault((section.profile, repr(sorted(section.overrides.items()))), []).append(section)
+    return list(found.values())
+
+
+def _judged(sections: Sequence[Section], settings: Settings) -> list[Judgement]:
+    by_name = {section.experiment: section for section in sections}
+    return [judge(claim, by_name, settings) for claim in CLAIMS]
+
+
+def _rows(judgement: Judgement, verdict: str) -> Iterator[dict[str, Any]]:
+    claim = judgement.claim
+    for finding in judgement.findings:
+        row: dict[str, Any] = {
+            "claim": claim.name, "says": claim.says, "where": claim.where, "asks": claim.experiment,
+            "verdict": verdict, "task": finding.task, "comparison": str(finding.test),
+            "reading": finding.test.reading.words, "unit": finding.unit, "n": 0,
+            "comparison_verdict": finding.verdict, "why": finding.why, "decides": finding is judgement.deciding,
+        }  # fmt: skip
+        if finding.found is not None:
+            numbers = (finding.found.estimate, finding.found.low, finding.found.high)
+            row |= dict(zip(("found", "low", "high"), map(float, numbers), strict=True)) | {"n": finding.found.n}
+        yield row
+
+
+def _report(sections: Sequence[Section], settings: Settings) -> Report:
+    found = table(sections, settings)
+    first = sections[0]
+    facts = merged_facts("claims", sections, settings)
+    return Report(title(first, "claims"), found, _grid(found), tuple(_notes(sections, found, settings)), facts)
+
+
+def _grid(found: pd.DataFrame) -> Grid:
+    """A row for each claim with the comparison on which the verdict rests."""
+    rows = found[found["decides"]].to_dict("records")
+    columns: dict[str, Sequence[str]] = {
+        "Claim": [row["says"] for row in rows],
+        "Verdict": [row["verdict"] for row in rows],
+        "Rests on": [f"{row['comparison']}: {row['task']}, {row['reading']}" for row in rows],
+        "Found": [number(row["found"], row["unit"]) for row in rows],
+        "95 % interval": [_interval(row) for row in rows],
+        "n": [str(row["n"]) for row in rows],
+    }
+    return Grid.of(columns, words=3)
+
+
+def _interval(row: dict[Any, Any]) -> str:
+    """The interval, and why it settles nothing."""
+    shown = interval(row["low"], row["high"], row["unit"], row["n"])
+    if not row["why"]:
+        return shown
+    return row["why"] if shown == NOTHING else f"{shown}; {row['why']}"
+
+
+def _notes(sections: Sequence[Section], found: pd.DataFrame, settings: Settings) -> Iterator[str]:
+    verdicts = found.drop_duplicates("claim")["verdict"].value_counts(sort=False)
+    yield f"{len(CLAIMS)} claims: {', '.join(f'{count} {verdict}' for verdict, count in verdicts.items())}."
+    for section in sections:
+        yield from (f"{section.experiment}: {note}" for note in contents_notes(section))
+    yield (
+        "Held: all comparisons of the claim have their whole interval on its side. Not held: one has all of it on the "
+        "other side, at a level of 1 - 0.05 / the claim's comparisons. Shown: the comparison that decides."
+    )
+    yield '"Reaches" and "near" are taken within 5 points. n: the fewest seeds of a method and task.'
+    yield from dict.fromkeys(note for section in sections for note in statistics_notes(section, settings))

@@ -1,0 +1,163 @@
+"""Little feedback: a number for each budget and method, the mean over the evaluations of the IQM (Fig. less).
+
+Every schedule of feedback is a row, every method a column. The mean
+goes over the steps that all runs of a task have in common. The first
+rows are the mean over all tasks.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+from rrmctl.errors import UserError
+from rrmctl.reports.document import NOTHING, Grid, Report, highest, interval, number
+from rrmctl.reports.scores import common_steps, score
+from rrmctl.reports.series import NOTHING_ASKED, Section, Series, at_steps
+from rrmctl.reports.settings import DEFAULTS, Settings
+from rrmctl.reports.words import BEST_NOTE, contents_notes, facts, statistics_notes, title
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from rrmctl.reports.series import Floats
+
+EXPERIMENT = "less-feedback"
+
+#: Stands for the task in the rows of the mean over all of them.
+ALL_TASKS = "all tasks"
+
+COLUMNS = (
+    "task", "teacher", "feedback", "method", "score", "first_step", "last_step", "evaluations", "mean_iqm", "low",
+    "high", "n", "planned",
+)  # fmt: skip
+
+
+def make(sections: Sequence[Section], settings: Settings) -> list[Report]:
+    """A table for each section in which a task is asked about by several schedules.
+
+    Raises:
+        UserError: there is none.
+    """
+    made = [_report(section, settings) for section in sections if _schedules(section)]
+    if not made:
+        names = ", ".join(dict.fromkeys(section.experiment for section in sections))
+        raise UserError(
+            f"{names}: no task has runs under several schedules of feedback", "`rrmctl run less-feedback` makes them"
+        )
+    return made
+
+
+def table(section: Section, settings: Settings = DEFAULTS) -> pd.DataFrame:
+    """One row per task (all tasks first), schedule and method: columns `COLUMNS`, success as a fraction."""
+    import pandas as pd
+
+    schedules = _schedules(section)
+    rows = [row for task, by_schedule in schedules.items() for row in _task_rows(task, by_schedule, settings)]
+    return pd.DataFrame([*_all_tasks(schedules, settings), *rows], columns=list(COLUMNS))
+
+
+#: By teacher and feedback, the series of each method.
+Schedules = Mapping[tuple[str, str], Mapping[str, Series]]
+
+
+def _schedules(section: Section) -> dict[str, Schedules]:
+    """For each task with several schedules of feedback, what was run."""
+    found: dict[str, dict[tuple[str, str], dict[str, Series]]] = {}
+    for panel in section.panels():
+        asked = {each.label.method: each for each in panel.series if each.label.feedback != NOTHING_ASKED}
+        found.setdefault(panel.task, {})[panel.teacher, panel.feedback] = asked
+    return {task: schedules for task, schedules in found.items() if len(schedules) > 1}
+
+
+def _read(schedules: Schedules) -> dict[tuple[str, str, str], Floats]:
+    """The scores of a task at the steps that all its series have, by teacher, feedback and method."""
+    present = {(*key, name): each for key, by in schedules.items() for name, each in by.items() if each.n}
+    steps = common_steps(list(present.values()))
+    if not steps.size:
+        task = next(iter(present.values())).label.task
+        raise UserError(f"{task}: no evaluation step is common to all schedules and methods", "let the runs go on")
+    return {key: at_steps(each, steps) for key, each in present.items()}
+
+
+def _task_rows(task: str, schedules: Schedules, settings: Settings) -> Iterator[dict[str, Any]]:
+    read = _read(schedules)
+    present = [each for by in schedules.values() for each in by.values() if each.n]
+    steps = common_steps(present)
+    for (teacher, feedback), methods in schedules.items():
+        for method, series in methods.items():
+            yield {
+                "task": task, "teacher": teacher, "feedback": feedback, "method": method, "score": series.score,
+                "first_step": int(steps[0]), "last_step": int(steps[-1]), "evaluations": int(steps.size),
+                "n": series.n, "planned": series.planned,
+                **(_numbers([read[teacher, feedback, method]], settings) if series.n else {}),
+            }  # fmt: skip
+
+
+def _all_tasks(tasks: Mapping[str, Schedules], settings: Settings) -> Iterator[dict[str, Any]]:
+    """The mean over the tasks, where there are several, all read by success, and a method has runs on each."""
+    series = [each for by in tasks.values() for methods in by.values() for each in methods.values()]
+    if len(tasks) < 2 or {each.score for each in series} != {"success"}:
+        return
+    read = [_read(schedules) for schedules in tasks.values()]
+    for key in (key for key in read[0] if all(key in each for each in read)):
+        teacher, feedback, method = key
+        here = [schedules[teacher, feedback][method] for schedules in tasks.values()]
+        yield {
+            "task": ALL_TASKS, "teacher": teacher, "feedback": feedback, "method": method, "score": "success",
+            "n": sum(each.n for each in here), "planned": sum(each.planned for each in here),
+            **_numbers([each[key] for each in read], settings),
+        }  # fmt: skip
+
+
+def _numbers(tasks: Sequence[Floats], settings: Settings) -> dict[str, float]:
+    found = score(tasks, settings).estimate()
+    return {"mean_iqm": float(found.estimate), "low": float(found.low), "high": float(found.high)}
+
+
+def _report(section: Section, settings: Settings) -> Report:
+    found = table(section, settings).astype({"evaluations": "Int64", "first_step": "Int64", "last_step": "Int64"})
+    grid = _grid(found)
+    return Report(title(section), found, grid, tuple(_notes(section, found, settings)), facts(section, settings))
+
+
+def _grid(found: pd.DataFrame) -> Grid:
+    """A row for each task and schedule, and a column for each method."""
+    names = ["task", "teacher", "feedback"] if found["teacher"].nunique() > 1 else ["task", "feedback"]
+    by_key = {(tuple(row[name] for name in names), row["method"]): row for row in found.to_dict("records")}
+    keys = list(dict.fromkeys(key for key, _ in by_key))
+    columns: dict[str, Sequence[str]] = {name.capitalize(): [key[at] for key in keys] for at, name in enumerate(names)}
+    for method in dict.fromkeys(found["method"]):
+        columns[method] = [_cell(by_key.get((key, method))) for key in keys]
+    columns["n"] = [_counts([row for (other, _), row in by_key.items() if other == key]) for key in keys]
+    at = {name: column for column, name in enumerate(columns)}
+    entries = (((keys.index(key), at[name]), key, row["mean_iqm"]) for (key, name), row in by_key.items())
+    return Grid.of(columns, words=len(names), best=highest(entries))
+
+
+def _cell(row: dict[Any, Any] | None) -> str:
+    if row is None or math.isnan(row["mean_iqm"]):
+        return NOTHING
+    return f"{number(row['mean_iqm'], row['score'])} {interval(row['low'], row['high'], row['score'], row['n'])}"
+
+
+def _counts(rows: Sequence[dict[Any, Any]]) -> str:
+    """Runs of each method of those planned; once where all have equally many."""
+    return ", ".join(dict.fromkeys(f"{row['n']}/{row['planned']}" for row in rows))
+
+
+def _notes(section: Section, found: pd.DataFrame, settings: Settings) -> Iterator[str]:
+    yield from contents_notes(section)
+    yield "Feedback: questions of a session @ steps between sessions / questions in all."
+    own = found[found["task"] != ALL_TASKS].drop_duplicates("task")
+    for row in own.to_dict("records"):
+        yield (
+            f"{row['task']}: mean of the IQM over {row['evaluations']} evaluations from step {row['first_step']:,} to "
+            f"{row['last_step']:,}, which all its runs have."
+        )
+    if (found["task"] == ALL_TASKS).any():
+        yield f'"{ALL_TASKS}": mean over the tasks; each is resampled on its own. n adds up the runs of all.'
+    yield "n holds for every method of a row, or for one after the other where they differ."
+    yield BEST_NOTE
+    yield from statistics_notes(section, settings)

@@ -1,0 +1,152 @@
+"""Teachers who err: final success under each, beside the paper's (Tab. wrongiqm1).
+
+Interquartile mean at the last step that all methods under a teacher have
+in common: where the runs under the stochastic teacher are shorter, the
+oracle is read there too. --plus-minus gives the paper's form, a column
+for each teacher.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING, Any
+
+from rrmctl.errors import UserError
+from rrmctl.reports import published
+from rrmctl.reports.document import NOTHING, Cell, Grid, Report, best_methods, highest, interval, number, plus_minus
+from rrmctl.reports.kinds.final import final_rows
+from rrmctl.reports.series import NOTHING_ASKED, ORACLE, Section
+from rrmctl.reports.settings import DEFAULTS, Settings
+from rrmctl.reports.words import BEST_NOTE, contents_notes, facts, statistics_notes, title
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+EXPERIMENT = "noisy-teacher"
+OPTIONS = ("plus_minus",)
+
+COLUMNS = (
+    "task", "teacher", "feedback", "method", "score", "step", "iqm", "low", "high", "n", "planned", "published",
+    "published_half", "difference",
+)  # fmt: skip
+
+_BASELINES = ("pebble", "surf", "mrn")
+_RESIDUAL = re.compile(r"rrm-(?:surf-|mrn-)?(.+)")
+
+
+def make(sections: Sequence[Section], settings: Settings) -> list[Report]:
+    """A table for each section with runs under a teacher who errs.
+
+    Raises:
+        UserError: there is none.
+    """
+    found = [(section, table(section, settings)) for section in sections]
+    made = [_report(section, rows, settings) for section, rows in found if len(rows)]
+    if not made:
+        names = ", ".join(dict.fromkeys(section.experiment for section in sections))
+        raise UserError(
+            f"{names}: there are no runs under a teacher who errs",
+            "`rrmctl run noisy-teacher` makes them; `rrmctl report final` is the table for other experiments",
+        )
+    return made
+
+
+def table(section: Section, settings: Settings = DEFAULTS) -> pd.DataFrame:
+    """One row per teacher who errs and method: columns `COLUMNS`; success and differences as fractions."""
+    import pandas as pd
+
+    panels = [panel for panel in section.panels() if panel.teacher not in (ORACLE, NOTHING_ASKED)]
+    rows = [_beside_published(row) for panel in panels for row in final_rows(panel, settings)]
+    return pd.DataFrame(rows, columns=list(COLUMNS))
+
+
+def _beside_published(row: dict[str, Any]) -> dict[str, Any]:
+    known = published.final(row["task"], row["teacher"], row["method"])
+    if known is None:
+        return row
+    return row | {
+        "published": known.success,
+        "published_half": known.half,
+        "difference": row.get("iqm", published.NAN) - known.success,
+    }
+
+
+def _report(section: Section, found: pd.DataFrame, settings: Settings) -> Report:
+    grid = _matrix(found) if settings.plus_minus else _list(found)
+    notes = tuple(_notes(section, found, settings))
+    return Report(title(section), found, grid, notes, facts(section, settings))
+
+
+def _list(found: pd.DataFrame) -> Grid:
+    """A row for each teacher and method."""
+    rows = found.to_dict("records")
+    columns: dict[str, Sequence[str]] = {"Task": list(found["task"])} if found["task"].nunique() > 1 else {}
+    columns |= {"Teacher": list(found["teacher"]), "Method": list(found["method"])}
+    words = len(columns)
+    columns["Step"] = [f"{row['step']:,}" for row in rows]
+    columns["Final"] = [number(row["iqm"], row["score"]) for row in rows]
+    columns["95 % interval"] = [interval(row["low"], row["high"], row["score"], row["n"]) for row in rows]
+    columns["n"] = [f"{row['n']}/{row['planned']}" for row in rows]
+    columns["Paper"] = [plus_minus(row["published"], row["published_half"], row["score"]) for row in rows]
+    columns["Difference"] = [_signed(row["difference"]) for row in rows]
+    best = best_methods(found, "iqm", ("task", "teacher", "feedback"), list(columns).index("Final"))
+    return Grid.of(columns, words=words, best=best)
+
+
+def _matrix(found: pd.DataFrame) -> Grid:
+    """The paper's form: a row for each method whatever it builds on, a column for each teacher, the paper's beside."""
+    names = [_family(method) for method in found["method"]]
+    keys = list(dict.fromkeys(zip(found["task"], names, strict=True)))
+    several = found["task"].nunique() > 1
+    columns: dict[str, Sequence[str]] = {"Task": [task for task, _ in keys]} if several else {}
+    columns["Method"] = [name for _, name in keys]
+    words, best = len(columns), list[tuple[Cell, str, float]]()
+    for teacher in dict.fromkeys(found["teacher"]):
+        here = found[found["teacher"] == teacher].to_dict("records")
+        by_key = {(row["task"], _family(row["method"])): row for row in here}
+        rows = [by_key.get(key) for key in keys]
+        best += [
+            ((at, len(columns)), f"{teacher} {row['task']}", row["iqm"])
+            for at, row in enumerate(rows)
+            if row and row["method"] != ORACLE
+        ]
+        columns[teacher] = [_halved(row) for row in rows]
+        columns[f"n, {teacher}"] = [f"{row['n']}/{row['planned']}" if row else NOTHING for row in rows]
+        columns[f"paper, {teacher}"] = [
+            plus_minus(row["published"], row["published_half"], row["score"]) if row else NOTHING for row in rows
+        ]
+    return Grid.of(columns, words=words, best=highest(best))
+
+
+def _family(method: str) -> str:
+    """The method without the learner it builds on, as the paper's rows are named."""
+    if method in _BASELINES:
+        return "baseline"
+    residual = _RESIDUAL.fullmatch(method)
+    return f"rrm-{residual[1]}" if residual else method
+
+
+def _halved(row: dict[Any, Any] | None) -> str:
+    return NOTHING if row is None else plus_minus(row["iqm"], (row["high"] - row["low"]) / 2, row["score"])
+
+
+def _signed(difference: float) -> str:
+    """Between two successes, in percentage points."""
+    return NOTHING if math.isnan(difference) else f"{100 * difference:+.1f}"
+
+
+def _notes(section: Section, found: pd.DataFrame, settings: Settings) -> Iterator[str]:
+    yield from contents_notes(section)
+    steps = dict(zip(found["teacher"], found["step"], strict=True))
+    yield f"Read at the last common step: {', '.join(f'{name} at {step:,}' for name, step in steps.items())}."
+    yield (
+        f"Paper: {published.source(EXPERIMENT)}, at the paper's scale, in % ± half a 95 % interval; "
+        f"ours is profile {section.profile}. Difference: ours less the paper's, in percentage points."
+    )
+    if settings.plus_minus:
+        yield "± is half the width of the interval, which need not lie evenly about the value, nor end at 100 %."
+        yield "baseline: the learner without a prior, which residual models build on."
+    yield BEST_NOTE
+    yield from statistics_notes(section, settings)

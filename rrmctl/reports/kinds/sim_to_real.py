@@ -1,0 +1,143 @@
+"""The simulated robot: success and return at three checkpoints, beside the paper's (Tab. realiqm).
+
+The paper's values are of a physical robot, ours of the evaluations in
+simulation at the same steps (of shorter profiles, at the same share of the
+training). Interquartile means over seeds.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from rrmctl.errors import UserError
+from rrmctl.planning.profiles import PAPER
+from rrmctl.reports import published
+from rrmctl.reports.document import NOTHING, Grid, Report, highest, interval, number
+from rrmctl.reports.published import Checkpoint
+from rrmctl.reports.scores import score
+from rrmctl.reports.series import Section, Series
+from rrmctl.reports.settings import DEFAULTS, Settings
+from rrmctl.reports.words import BEST_NOTE, contents_notes, facts, statistics_notes, title
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+EXPERIMENT = "sim-to-real"
+
+COLUMNS = (
+    "task", "teacher", "feedback", "method", "score", "paper_step", "step", "iqm", "low", "high", "n", "planned",
+    "published", "difference",
+)  # fmt: skip
+
+_MEASURED = {"success": "success", "return": "true_return"}
+
+
+def make(sections: Sequence[Section], settings: Settings) -> list[Report]:
+    """A table for each section with runs of the simulated robot.
+
+    Raises:
+        UserError: there is none.
+    """
+    found = [(section, table(section, settings)) for section in sections]
+    made = [_report(section, rows, settings) for section, rows in found if len(rows)]
+    if not made:
+        names = ", ".join(dict.fromkeys(section.experiment for section in sections))
+        raise UserError(
+            f"{names}: there are no runs of {', '.join(published.deployed_tasks())}",
+            "`rrmctl list` names what there is to run",
+        )
+    return made
+
+
+def table(section: Section, settings: Settings = DEFAULTS) -> pd.DataFrame:
+    """One row per task, method, checkpoint and score: columns `COLUMNS`; success and its difference as fractions."""
+    import pandas as pd
+
+    rows = [
+        row
+        for series in section.series
+        if series.label.task in published.deployed_tasks()
+        for checkpoint in published.checkpoints(series.label.task, series.label.method)
+        for row in _rows(series, checkpoint, section.profile, settings)
+    ]
+    return pd.DataFrame(rows, columns=list(COLUMNS)).astype({"step": "Int64"})
+
+
+def _rows(series: Series, checkpoint: Checkpoint, profile: str, settings: Settings) -> Iterator[dict[str, Any]]:
+    told = {"success": checkpoint.success, "return": checkpoint.true_return}
+    for name, column in _MEASURED.items():
+        row: dict[str, Any] = {
+            **series.label._asdict(), "score": name, "paper_step": checkpoint.step, "n": 0, "planned": series.planned,
+            "published": told[name],
+        }  # fmt: skip
+        steps, values = series.measure(column) if series.n else (np.zeros(0, np.int64), np.zeros((0, 0)))
+        at = _position(steps, checkpoint, profile, finished=series.finished)
+        if at is not None:
+            found = score([values[:, [at]]], settings).estimate()
+            row |= {"step": int(steps[at]), "iqm": float(found.estimate), "n": series.n}
+            row |= {"low": float(found.low), "high": float(found.high), "difference": row["iqm"] - told[name]}
+        yield row
+
+
+def _position(
+    steps: np.typing.NDArray[np.int64], checkpoint: Checkpoint, profile: str, *, finished: bool
+) -> int | None:
+    """Which evaluation stands for a checkpoint; None where there is none yet."""
+    if profile == PAPER:
+        wanted = checkpoint.step
+    elif finished:
+        wanted = round(checkpoint.share * int(steps[-1]))
+    else:
+        return None  # how long it is going to be is not known here
+    reached = np.flatnonzero(steps <= wanted)
+    return int(reached[-1]) if reached.size and steps[-1] >= wanted else None
+
+
+def _report(section: Section, found: pd.DataFrame, settings: Settings) -> Report:
+    notes = (
+        *contents_notes(section),
+        f"Paper: {published.source(EXPERIMENT)}, 5 seeds x 20 episodes on a physical robot; ours is of the simulation, "
+        f"profile {section.profile}. In brackets: ours less the paper's, in percentage points for success.",
+        "Step: the last evaluation up to the paper's checkpoint, or up to the same share of a shorter training.",
+        BEST_NOTE,
+        *statistics_notes(section, settings),
+    )
+    return Report(title(section), found, _grid(found), notes, facts(section, settings))
+
+
+def _grid(found: pd.DataFrame) -> Grid:
+    """A row for each task, checkpoint and method; success and return beside one another."""
+    order = ["task", "paper_step", "method"]
+    table = found.assign(task=found["task"].astype("category").cat.set_categories(list(dict.fromkeys(found["task"]))))
+    table = table.sort_values(order[:2], kind="stable")
+    halves = {name: table[table["score"] == name].to_dict("records") for name in _MEASURED}
+    success = halves["success"]
+    columns: dict[str, Sequence[str]] = {
+        "Task": [row["task"] for row in success],
+        "Checkpoint": [f"{row['paper_step']:,}" for row in success],
+        "Method": [row["method"] for row in success],
+        "Step": [NOTHING if row["n"] == 0 else f"{row['step']:,}" for row in success],
+    }
+    best = []
+    for name, rows in halves.items():
+        best += [
+            ((at, len(columns)), (row["task"], row["paper_step"], name), row["iqm"]) for at, row in enumerate(rows)
+        ]
+        columns[name.capitalize()] = [number(row["iqm"], row["score"]) for row in rows]
+        columns[f"{name.capitalize()}, 95 %"] = [
+            interval(row["low"], row["high"], row["score"], row["n"]) for row in rows
+        ]
+        columns[f"{name.capitalize()}, paper"] = [_beside(row) for row in rows]
+    columns["n"] = [f"{row['n']}/{row['planned']}" for row in success]
+    return Grid.of(columns, words=3, best=highest(best))
+
+
+def _beside(row: dict[Any, Any]) -> str:
+    """The published value, and the difference to it in brackets."""
+    told, scale = number(row["published"], row["score"]), 100 if row["score"] == "success" else 1
+    missing = math.isnan(row["published"]) or math.isnan(row["difference"])
+    return told if missing else f"{told} ({scale * row['difference']:+.1f})"

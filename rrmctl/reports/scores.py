@@ -1,0 +1,72 @@
+"""Numbers read off curves, with the resampled data sets behind their intervals.
+
+What is read of a series is a matrix [S, T]: for each seed its values at some steps, one step included. The number is
+the mean over these steps of the interquartile mean over seeds. Several tasks that are read at one step each are pooled,
+as rliable does; of several that are read at more, the mean is taken.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from rrmctl.reports.series import Floats, Series, Steps, at_steps
+from rrmctl.reports.settings import BOOTSTRAP_SEED, LEVEL, Settings
+from rrmctl.stats import Estimate, Iqm, estimate, interval_possible, resample
+from rrmctl.stats.bootstrap import Statistic
+
+
+@dataclass(frozen=True, eq=False)
+class Score:
+    """A number and its replicates."""
+
+    point: float
+    draws: Floats | None  #: [R]; None where a task has too few seeds for an interval
+    n: int  #: fewest seeds of a task, of both methods where it is a difference
+
+    def __sub__(self, other: Score) -> Score:
+        """The difference between two methods, each resampled on its own."""
+        known = self.draws is not None and other.draws is not None
+        return Score(
+            self.point - other.point,
+            self.draws - other.draws if known else None,  # type: ignore[operator]  # both are there
+            min(self.n, other.n),
+        )
+
+    def estimate(self, level: float = LEVEL) -> Estimate:
+        """With its percentile interval."""
+        return estimate(self.point, self.draws, n=self.n, level=level)
+
+
+def score(tasks: Sequence[Floats], settings: Settings, *, stream: int = 0, statistic: Statistic | None = None) -> Score:
+    """The number behind what was read of one method on each task.
+
+    Args:
+        tasks: for each task [S, T]; none is empty.
+        stream: of random numbers; two methods to be compared are resampled from two.
+        statistic: of the seeds, in place of the interquartile mean.
+    """
+    reduce = statistic or Iqm(settings.kind)
+    rng, sizes = np.random.default_rng([BOOTSTRAP_SEED, stream] if stream else BOOTSTRAP_SEED), list(map(len, tasks))
+    groups = [tasks] if all(each.shape[1] == 1 for each in tasks) else [[each] for each in tasks]
+    points = [reduce(np.concatenate(group).T).mean() for group in groups]
+    draws = None
+    if interval_possible(sizes):
+        drawn = [resample(group, reduce, rng=rng, replicates=settings.replicates) for group in groups]
+        draws = np.mean([each.mean(axis=-1) for each in drawn], axis=0)
+    return Score(float(np.mean(points)), draws, min(sizes))
+
+
+def at(series: Series, step: int) -> Floats:
+    """The series' score at one of its steps, [S, 1]."""
+    return at_steps(series, np.array([step]))
+
+
+def common_steps(series: Sequence[Series]) -> Steps:
+    """The steps that all of these series have, which may be none."""
+    steps = series[0].steps
+    for each in series[1:]:
+        steps = np.intersect1d(steps, each.steps)
+    return steps
