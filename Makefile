@@ -4,9 +4,10 @@
 PYTHON ?= $(shell for p in python3 python3.12 python3.11; do \
 	$$p -c 'import sys; sys.exit(not (3, 11) <= sys.version_info[:2] <= (3, 12))' 2>/dev/null && echo $$p && break; done)
 BIN := .venv/bin
+AS_ROOT := $(shell test "$$(id -u)" = 0 || echo sudo)
 PYTEST := $(BIN)/python -m pytest
 
-.PHONY: quickstart test test-slow check install bench soak clean
+.PHONY: quickstart test test-slow check install bench soak tex clean
 
 quickstart: install
 	$(BIN)/rrmctl run quickstart
@@ -28,6 +29,11 @@ check: install
 MINUTES ?= 20
 soak: install
 	$(BIN)/python -m tests.soak --minutes $(MINUTES)
+
+# For the test that compiles the LaTeX tables, on Debian and its kin; any other pdflatex with these packages will do.
+tex:
+	command -v pdflatex || { $(AS_ROOT) apt-get update && \
+		$(AS_ROOT) apt-get install --yes --no-install-recommends texlive-latex-recommended; }
 
 bench: .venv/benched
 	$(BIN)/python -m benchmarks $(BENCHMARKS)

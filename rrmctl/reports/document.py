@@ -8,6 +8,7 @@ from collections.abc import Hashable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+from rrmctl.errors import UserError
 from rrmctl.reports.series import ORACLE
 
 if TYPE_CHECKING:
@@ -20,6 +21,10 @@ NOTHING = "–"
 
 #: Row and column.
 Cell = tuple[int, int]
+
+
+class NoDataError(UserError):
+    """A table has nothing to show of these sections."""
 
 
 @dataclass(frozen=True)
@@ -42,11 +47,12 @@ class Grid:
     def ends(self) -> list[bool]:
         """For each row, whether it is the last of those that share its first column and another group follows."""
         starts = [here[0] != before[0] for before, here in zip(self.rows, self.rows[1:], strict=False)]
-        return [*starts, False] if self.rows else []
+        grouped = not all(starts)  # lines between all rows would part nothing
+        return [*(start and grouped for start in starts), False] if self.rows else []
 
     def named_once(self) -> list[tuple[str, ...]]:
         """The rows, with a name in the first column only where a group of them begins."""
-        begins = [True, *self.ends()]
+        begins = [True, *(here[0] != before[0] for before, here in zip(self.rows, self.rows[1:], strict=False))]
         return [row if begins[at] else ("", *row[1:]) for at, row in enumerate(self.rows)]
 
 

@@ -16,6 +16,7 @@ from typing import Literal
 import numpy as np
 
 from rrm.envs.tasks import Score as Unit
+from rrmctl.errors import UserError
 from rrmctl.planning.profiles import PAPER
 from rrmctl.reports.claims import Arm, Budget, Claim, Reading, Test
 from rrmctl.reports.scores import Score, score
@@ -81,7 +82,7 @@ def _finding(
         if section is None:
             raise MissingDataError(f"no runs of {claim.experiment}")
         found, unit = _measured(test, tasks, section, settings)
-    except MissingDataError as error:
+    except (MissingDataError, UserError) as error:  # the latter: methods have no step in common
         return Finding(test, names, "success", None, "not enough data", math.nan, str(error))
     held, refuted = found.estimate(LEVEL), found.estimate(1 - (1 - LEVEL) / rivals)
     if section.profile in _UNJUDGED:
@@ -141,8 +142,8 @@ def _series(section: Section, task: str, arm: Arm) -> Series:
     named = [each for each in section.series if (each.label.task, each.label.method) == (task, arm.method)]
     found = [each for each in named if arm.teacher in (None, each.label.teacher)]
     if arm.budget is not None:
-        full = _fullest(section, task)
-        found = [each for each in found if _is(arm.budget, each.label.feedback, full)]
+        asked = [each for each in found if each.label.feedback != NOTHING_ASKED]
+        found = [each for each in asked if _is(arm.budget, each.label.feedback, _fullest(section, task))]
     if not any(each.n for each in found):
         raise MissingDataError(f"no runs of {arm}, {task}")
     if len(found) > 1:
@@ -166,8 +167,6 @@ def _schedule(label: str) -> tuple[int, int]:
 
 
 def _is(budget: Budget, label: str, full: tuple[int, int]) -> bool:
-    if label == NOTHING_ASKED:
-        return False
     batch, every = _schedule(label)
     return math.isclose(batch / full[0], budget.batch, rel_tol=0.1) and math.isclose(
         every / full[1], budget.every, rel_tol=0.1

@@ -9,7 +9,7 @@ from __future__ import annotations
 import io
 import json
 import os
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -117,30 +117,66 @@ _TEX = {
 }  # fmt: skip
 
 
+#: What a document has to load for the tables.
+LATEX_PACKAGES = ("booktabs", "graphicx", "longtable")
+#: Rows of a table that floats; more go over several pages. There: letters of a cell that stays on one line, the share
+#: of the text that columns with longer ones get, and between which lengths that is shared out in proportion.
+_FLOATING, _LETTERS, _FOLDED, _WEIGHTS = 30, 14, 0.62, (25, 60)
+
+
 def _latex(reports: Sequence[Report]) -> str:
-    """Tables for a document that loads the package booktabs."""
-    return "\n\n".join("\n".join(_latex_lines(report)) for report in reports) + "\n"
+    r"""Tables for a document that loads the packages `LATEX_PACKAGES`; none is wider than the text."""
+    needs = f"% \\usepackage{{{','.join(LATEX_PACKAGES)}}}"
+    return "\n\n".join([needs, *("\n".join(_latex_lines(report)) for report in reports)]) + "\n"
 
 
 def _latex_lines(report: Report) -> Iterator[str]:
-    grid = report.grid
-    alignment = "".join("l" if column < grid.words else "r" for column in range(len(grid.header)))
     yield f"% {json.dumps(report.facts, sort_keys=True)}"
-    yield from (r"\begin{table}", r"\centering", rf"\caption{{{_tex(report.title)}}}")
-    yield from (
-        rf"\begin{{tabular}}{{{alignment}}}",
-        r"\toprule",
-        " & ".join(map(_tex, grid.header)) + r" \\",
-        r"\midrule",
-    )
+    notes = _tex(" ".join(report.notes))
+    if not report.grid.rows:
+        yield from (rf"\paragraph{{{_tex(report.title)}}}", notes)
+    elif len(report.grid.rows) > _FLOATING:
+        yield from _long_table(report)
+        yield rf"{{\footnotesize {notes}\par}}"
+    else:
+        yield from (r"\begin{table}", r"\centering", rf"\caption{{{_tex(report.title)}}}")
+        yield r"\resizebox{\ifdim\width>\textwidth\textwidth\else\width\fi}{!}{%"
+        yield from _tabular(report.grid)
+        yield from ("}", r"\par\smallskip\footnotesize", notes, r"\end{table}")
+
+
+def _tabular(grid: Grid) -> Iterator[str]:
+    alignment = "".join("l" if column < grid.words else "r" for column in range(len(grid.header)))
+    yield from (rf"\begin{{tabular}}{{{alignment}}}", r"\toprule", _latex_row(map(_tex, grid.header)), r"\midrule")
+    yield from _latex_body(grid)
+    yield from (r"\bottomrule", r"\end{tabular}")
+
+
+def _long_table(report: Report) -> Iterator[str]:
+    """Over several pages, with names that are broken into lines."""
+    grid = report.grid
+    longest = [max(len(row[column]) for row in grid.rows) for column in range(grid.words)]
+    weights = [min(max(length, _WEIGHTS[0]), _WEIGHTS[1]) if length > _LETTERS else 0 for length in longest]
+    columns = [rf"p{{{_FOLDED * w / sum(weights):.3f}\textwidth}}" if w else "l" for w in weights]
+    alignment = "".join(columns) + "r" * (len(grid.header) - grid.words)
+    yield r"{\scriptsize\setlength{\tabcolsep}{2pt}"
+    yield rf"\begin{{longtable}}{{{alignment}}}"
+    yield rf"\caption{{{_tex(report.title)}}}\\"
+    yield from (r"\toprule", _latex_row(map(_tex, grid.header)), r"\midrule", r"\endhead")
+    yield from _latex_body(grid)
+    yield from (r"\bottomrule", r"\end{longtable}}")
+
+
+def _latex_body(grid: Grid) -> Iterator[str]:
     body = _cells(grid, grid.named_once(), _tex, r"\textbf{{{}}}")
     for row, last in zip(body, grid.ends(), strict=True):
-        yield " & ".join(row) + r" \\"
+        yield _latex_row(row)
         if last:
             yield r"\midrule"
-    yield from (r"\bottomrule", r"\end{tabular}", r"\par\smallskip\footnotesize")
-    yield _tex(" ".join(report.notes))
-    yield r"\end{table}"
+
+
+def _latex_row(cells: Iterable[str]) -> str:
+    return " & ".join(cells) + r" \\"
 
 
 def _tex(text: str) -> str:

@@ -7,27 +7,50 @@ that each row belongs to.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 from rrmctl.errors import UserError
 from rrmctl.reports import kinds
-from rrmctl.reports.document import Report
+from rrmctl.reports.document import Grid, NoDataError, Report
 from rrmctl.reports.series import Section
 from rrmctl.reports.settings import Settings
+from rrmctl.reports.words import facts
+from rrmctl.reports.words import title as title_of
 
 EXPERIMENT = None
 OPTIONS = ("plus_minus",)
+
+Make = Callable[[Sequence[Section], Settings], list[Report]]
 
 
 def make(sections: Sequence[Section], settings: Settings) -> list[Report]:
     """The reports of all other kinds, in the order of their names."""
     made = []
     for name, entry in kinds.kinds().items():
-        if entry.path == __name__:
-            continue
-        try:
-            reports = entry.load().make(sections, settings)
-        except UserError:  # this table is of other data
-            continue
-        made += [dataclasses.replace(each, facts=each.facts | {"table": name}) for each in reports]
+        if entry.path != __name__:
+            made += [_named(name, each) for each in _reports(entry.load().make, sections, settings)]
     return made
+
+
+def _reports(make: Make, sections: Sequence[Section], settings: Settings) -> list[Report]:
+    """Those of one kind; what stands in the way of one section keeps no other from being shown."""
+    try:
+        return make(sections, settings)
+    except NoDataError:
+        return []
+    except UserError as error:
+        if len(sections) == 1:
+            return [_words(sections[0], settings, str(error))]
+        return [report for section in sections for report in _reports(make, [section], settings)]
+
+
+def _named(kind: str, report: Report) -> Report:
+    title = report.title if report.title.startswith(kind) else f"{kind}: {report.title}"
+    return dataclasses.replace(report, title=title, facts=report.facts | {"table": kind})
+
+
+def _words(section: Section, settings: Settings, problem: str) -> Report:
+    """What is said in place of a table that cannot be made."""
+    import pandas as pd
+
+    return Report(title_of(section), pd.DataFrame(), Grid((), ()), (problem,), facts(section, settings))

@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
-from rrmctl.reports.document import NOTHING, Grid, Report, interval, number
+from rrmctl.reports.document import Grid, NoDataError, Report, interval, number
 from rrmctl.reports.judging import Judgement, at_profile, judge
 from rrmctl.reports.prose import CLAIMS
 from rrmctl.reports.series import Section
@@ -30,8 +30,19 @@ COLUMNS = (
 
 
 def make(sections: Sequence[Section], settings: Settings) -> list[Report]:
-    """A table for each profile and set of overrides."""
-    return [_report(alike, settings) for alike in _variants(sections)]
+    """A table for each profile and set of overrides of the experiments that the claims are about.
+
+    Raises:
+        NoDataError: the claims are about others.
+    """
+    asked = list(dict.fromkeys(claim.experiment for claim in CLAIMS))
+    known = [section for section in sections if section.experiment in asked]
+    if not known:
+        names = ", ".join(dict.fromkeys(section.experiment for section in sections))
+        raise NoDataError(
+            f"{names}: the paper's prose claims nothing of it", f"its claims are about {', '.join(asked)}"
+        )
+    return [_report(alike, settings) for alike in _variants(known)]
 
 
 def table(sections: Sequence[Section], settings: Settings = DEFAULTS) -> pd.DataFrame:
@@ -87,22 +98,21 @@ def _grid(found: pd.DataFrame) -> Grid:
     """A row for each claim with the comparison on which the verdict rests."""
     rows = found[found["decides"]].to_dict("records")
     columns: dict[str, Sequence[str]] = {
+        "Experiment": [row["asks"] for row in rows],
         "Claim": [row["says"] for row in rows],
         "Verdict": [row["verdict"] for row in rows],
-        "Rests on": [f"{row['comparison']}: {row['task']}, {row['reading']}" for row in rows],
+        "Rests on": [_comparison(row) for row in rows],
         "Found": [number(row["found"], row["unit"]) for row in rows],
-        "95 % interval": [_interval(row) for row in rows],
+        "95 % interval": [interval(row["low"], row["high"], row["unit"], row["n"]) for row in rows],
         "n": [str(row["n"]) for row in rows],
     }
-    return Grid.of(columns, words=3)
+    return Grid.of(columns, words=4)
 
 
-def _interval(row: dict[Any, Any]) -> str:
-    """The interval, and why it settles nothing."""
-    shown = interval(row["low"], row["high"], row["unit"], row["n"])
-    if not row["why"]:
-        return shown
-    return row["why"] if shown == NOTHING else f"{shown}; {row['why']}"
+def _comparison(row: dict[Any, Any]) -> str:
+    """What is compared, where, and why it settles nothing."""
+    told = f"{row['comparison']}: {row['task']}, {row['reading']}"
+    return f"{told} ({row['why']})" if row["why"] else told
 
 
 def _notes(sections: Sequence[Section], found: pd.DataFrame, settings: Settings) -> Iterator[str]:

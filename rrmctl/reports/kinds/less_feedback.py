@@ -12,7 +12,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from rrmctl.errors import UserError
-from rrmctl.reports.document import NOTHING, Grid, Report, highest, interval, number
+from rrmctl.reports.document import NOTHING, Grid, NoDataError, Report, highest, interval, number
 from rrmctl.reports.scores import common_steps, score
 from rrmctl.reports.series import NOTHING_ASKED, Section, Series, at_steps
 from rrmctl.reports.settings import DEFAULTS, Settings
@@ -38,12 +38,12 @@ def make(sections: Sequence[Section], settings: Settings) -> list[Report]:
     """A table for each section in which a task is asked about by several schedules.
 
     Raises:
-        UserError: there is none.
+        NoDataError: there is none.
     """
     made = [_report(section, settings) for section in sections if _schedules(section)]
     if not made:
         names = ", ".join(dict.fromkeys(section.experiment for section in sections))
-        raise UserError(
+        raise NoDataError(
             f"{names}: no task has runs under several schedules of feedback", "`rrmctl run less-feedback` makes them"
         )
     return made

@@ -13,9 +13,19 @@ import re
 from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
-from rrmctl.errors import UserError
 from rrmctl.reports import published
-from rrmctl.reports.document import NOTHING, Cell, Grid, Report, best_methods, highest, interval, number, plus_minus
+from rrmctl.reports.document import (
+    NOTHING,
+    Cell,
+    Grid,
+    NoDataError,
+    Report,
+    best_methods,
+    highest,
+    interval,
+    number,
+    plus_minus,
+)
 from rrmctl.reports.kinds.final import final_rows
 from rrmctl.reports.series import NOTHING_ASKED, ORACLE, Section
 from rrmctl.reports.settings import DEFAULTS, Settings
@@ -40,13 +50,13 @@ def make(sections: Sequence[Section], settings: Settings) -> list[Report]:
     """A table for each section with runs under a teacher who errs.
 
     Raises:
-        UserError: there is none.
+        NoDataError: there is none.
     """
     found = [(section, table(section, settings)) for section in sections]
     made = [_report(section, rows, settings) for section, rows in found if len(rows)]
     if not made:
         names = ", ".join(dict.fromkeys(section.experiment for section in sections))
-        raise UserError(
+        raise NoDataError(
             f"{names}: there are no runs under a teacher who errs",
             "`rrmctl run noisy-teacher` makes them; `rrmctl report final` is the table for other experiments",
         )
@@ -89,7 +99,7 @@ def _list(found: pd.DataFrame) -> Grid:
     columns["Final"] = [number(row["iqm"], row["score"]) for row in rows]
     columns["95 % interval"] = [interval(row["low"], row["high"], row["score"], row["n"]) for row in rows]
     columns["n"] = [f"{row['n']}/{row['planned']}" for row in rows]
-    columns["Paper"] = [plus_minus(row["published"], row["published_half"], row["score"]) for row in rows]
+    columns["Paper"] = [_paper(row) for row in rows]
     columns["Difference"] = [_signed(row["difference"]) for row in rows]
     best = best_methods(found, "iqm", ("task", "teacher", "feedback"), list(columns).index("Final"))
     return Grid.of(columns, words=words, best=best)
@@ -97,27 +107,25 @@ def _list(found: pd.DataFrame) -> Grid:
 
 def _matrix(found: pd.DataFrame) -> Grid:
     """The paper's form: a row for each method whatever it builds on, a column for each teacher, the paper's beside."""
-    names = [_family(method) for method in found["method"]]
-    keys = list(dict.fromkeys(zip(found["task"], names, strict=True)))
-    several = found["task"].nunique() > 1
-    columns: dict[str, Sequence[str]] = {"Task": [task for task, _ in keys]} if several else {}
-    columns["Method"] = [name for _, name in keys]
-    words, best = len(columns), list[tuple[Cell, str, float]]()
+    by_key = {
+        (row["task"], _family(row["method"]), row["teacher"]): row | {"family": _family(row["method"])}
+        for row in found.to_dict("records")
+    }
+    keys = list(dict.fromkeys(key[:2] for key in by_key))
+    words = ["task", "family"] if found["task"].nunique() > 1 else ["family"]
+    header = [name.capitalize() if name == "task" else "Method" for name in words]
+    columns = [[dict(zip(("task", "family"), key, strict=True))[name] for key in keys] for name in words]
+    best: list[tuple[Cell, tuple[str, str], float]] = []
     for teacher in dict.fromkeys(found["teacher"]):
-        here = found[found["teacher"] == teacher].to_dict("records")
-        by_key = {(row["task"], _family(row["method"])): row for row in here}
-        rows = [by_key.get(key) for key in keys]
-        best += [
-            ((at, len(columns)), f"{teacher} {row['task']}", row["iqm"])
-            for at, row in enumerate(rows)
-            if row and row["method"] != ORACLE
-        ]
-        columns[teacher] = [_halved(row) for row in rows]
-        columns[f"n, {teacher}"] = [f"{row['n']}/{row['planned']}" if row else NOTHING for row in rows]
-        columns[f"paper, {teacher}"] = [
-            plus_minus(row["published"], row["published_half"], row["score"]) if row else NOTHING for row in rows
-        ]
-    return Grid.of(columns, words=words, best=highest(best))
+        rows = [by_key.get((*key, teacher)) for key in keys]
+        own = [(at, row) for at, row in enumerate(rows) if row and row["method"] != ORACLE]
+        best += [((at, len(columns)), (row["task"], teacher), row["iqm"]) for at, row in own]
+        header += [teacher, "paper"]
+        columns += [[_halved(row) for row in rows], [NOTHING if row is None else _paper(row) for row in rows]]
+    counts = [[row for key, row in by_key.items() if key[:2] == each] for each in keys]
+    header.append("n")
+    columns.append([", ".join(dict.fromkeys(f"{row['n']}/{row['planned']}" for row in rows)) for rows in counts])
+    return Grid(tuple(header), tuple(zip(*columns, strict=True)), len(words), highest(best))
 
 
 def _family(method: str) -> str:
@@ -126,6 +134,10 @@ def _family(method: str) -> str:
         return "baseline"
     residual = _RESIDUAL.fullmatch(method)
     return f"rrm-{residual[1]}" if residual else method
+
+
+def _paper(row: dict[Any, Any]) -> str:
+    return plus_minus(row["published"], row["published_half"], row["score"])
 
 
 def _halved(row: dict[Any, Any] | None) -> str:

@@ -13,10 +13,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from rrmctl.errors import UserError
 from rrmctl.planning.profiles import PAPER
 from rrmctl.reports import published
-from rrmctl.reports.document import NOTHING, Grid, Report, highest, interval, number
+from rrmctl.reports.document import NOTHING, Grid, NoDataError, Report, highest, interval, number
 from rrmctl.reports.published import Checkpoint
 from rrmctl.reports.scores import score
 from rrmctl.reports.series import Section, Series
@@ -40,13 +39,13 @@ def make(sections: Sequence[Section], settings: Settings) -> list[Report]:
     """A table for each section with runs of the simulated robot.
 
     Raises:
-        UserError: there is none.
+        NoDataError: there is none.
     """
     found = [(section, table(section, settings)) for section in sections]
     made = [_report(section, rows, settings) for section, rows in found if len(rows)]
     if not made:
         names = ", ".join(dict.fromkeys(section.experiment for section in sections))
-        raise UserError(
+        raise NoDataError(
             f"{names}: there are no runs of {', '.join(published.deployed_tasks())}",
             "`rrmctl list` names what there is to run",
         )

@@ -1,0 +1,51 @@
+"""Sections with known curves under any teacher and schedule, for tables that compare those."""
+
+import json
+
+import numpy as np
+import pandas as pd
+
+from rrmctl.reports.select import sections
+from rrmctl.store.reader import PLANNED
+from rrmctl.store.schema import MEASURED
+from tests.rrmctl.reports.frames import digits
+
+FULL = "50@5000/5000"
+
+
+def curve(*levels, seeds=5, spread=0.0):
+    """Curves [S, T] around these levels, the seeds evenly spread about them and kept between 0 and 1."""
+    offsets = np.linspace(-spread, spread, seeds)
+    return np.clip(np.array(levels)[None, :] + offsets[:, None], 0.0, 1.0)
+
+
+def frames(experiment, series, *, steps, profile="paper", variant=None, overrides=None, states=None):
+    """Rows and jobs as the store gives them.
+
+    Args:
+        series: (task, method, teacher, feedback) -> success [S, T], or a dict of measured columns, each [S, T]. The
+            true return is a tenth of the success less ten, where it is not given.
+        steps: the evaluation steps, [T], or those of each series; a series may be shorter.
+        states: (method, seed) -> state; done otherwise.
+    """
+    rows, jobs = [], []
+    for label, told in series.items():
+        columns = told if isinstance(told, dict) else {"success": told}
+        columns = {"true_return": np.asarray(columns["success"]) / 10 - 10} | columns
+        own = steps[label] if isinstance(steps, dict) else steps
+        for seed in range(len(columns["success"])):
+            run, cell = digits(experiment, profile, overrides, *label, seed), digits(experiment, profile, *label)
+            state = (states or {}).get((label[1], seed), "done")
+            who = (experiment, variant or profile, profile, json.dumps(overrides or {}))
+            jobs.append((*who, *label, seed, run, cell, state, 1, 0, own[-1], ""))
+            for at, step in enumerate(own[: len(columns["success"][seed])]):
+                measured = dict.fromkeys(MEASURED, 0.0) | {"step": step, "episodes": 10}
+                measured |= {name: values[seed][at] for name, values in columns.items()}
+                labels = dict(zip(PLANNED[4:12], (*label, seed, run, cell, state), strict=True))
+                rows.append(dict(zip(PLANNED[:3], who[:3], strict=True)) | labels | measured)
+    return pd.DataFrame(rows), pd.DataFrame(jobs, columns=list(PLANNED))
+
+
+def section(experiment, series, **settings):
+    (found,) = sections(*frames(experiment, series, **settings))
+    return found

@@ -1,0 +1,252 @@
+import tomllib
+
+import numpy as np
+import pandas as pd
+import pytest
+from scipy.stats import trim_mean
+
+from rrmctl.errors import UserError
+from rrmctl.reports import published
+from rrmctl.reports.document import NoDataError
+from rrmctl.reports.kinds import all as everything
+from rrmctl.reports.kinds import final, less_feedback, noisy_teacher, sim_to_real
+from rrmctl.reports.render import to_text
+from rrmctl.reports.settings import Settings
+from tests.rrmctl.reports.stores import FULL, curve, section
+
+QUICK = Settings(replicates=300)
+STEPS = [100_000, 200_000, 300_000, 400_000, 500_000]
+TEACHERS = {
+    "stochastic": ("pebble", "rrm-proxy", "rrm-language", "rrm-imitation"),
+    "mistaken-10": ("mrn", "rrm-mrn-proxy", "rrm-mrn-language", "rrm-mrn-imitation"),
+    "mistaken-15": ("mrn", "rrm-mrn-proxy", "rrm-mrn-language", "rrm-mrn-imitation"),
+}
+
+
+def noisy(profile="paper"):
+    """The manifest's series: three evaluations under the stochastic teacher, five elsewhere."""
+    series = {("button-press", "oracle", "-", "-"): curve(0.1, 0.5, 0.7, 0.9, 1.0)}
+    for teacher, methods in TEACHERS.items():
+        length = 3 if teacher == "stochastic" else 5
+        for rank, method in enumerate(methods):
+            levels = np.linspace(0, 0.3 + 0.2 * rank, length)
+            series["button-press", method, teacher, FULL] = curve(*levels, spread=0.1)
+    return section("noisy-teacher", series, steps=STEPS, profile=profile)
+
+
+def row(table, **wanted):
+    found = table
+    for name, value in wanted.items():
+        found = found[found[name] == value]
+    (only,) = found.to_dict("records")
+    return only
+
+
+def test_every_published_value_is_in_a_row_of_its_own():
+    """Fifteen published values stand beside fifteen rows of ours, and the difference is ours less theirs."""
+    table = noisy_teacher.table(noisy(), QUICK)
+    assert len(table) == 15
+    assert table["published"].notna().all()
+    np.testing.assert_allclose(table["difference"], table["iqm"] - table["published"])
+    proxy = row(table, teacher="mistaken-10", method="rrm-mrn-proxy")
+    assert (proxy["published"], proxy["published_half"]) == (pytest.approx(0.988), pytest.approx(0.104))
+
+
+def test_the_oracle_is_read_where_the_stochastic_runs_end():
+    """The oracle's run of 500,000 steps is read at 300,000 for the stochastic column, at its end for the others."""
+    table = noisy_teacher.table(noisy(), QUICK)
+    assert [row(table, teacher=t, method="oracle")["step"] for t in TEACHERS] == [300_000, 500_000, 500_000]
+    assert [row(table, teacher=t, method="oracle")["iqm"] for t in TEACHERS] == [pytest.approx(0.7), 1.0, 1.0]
+
+
+def test_intervals_are_brackets_unless_the_papers_form_is_asked_for():
+    """Ours are [low, high] by default; with ± a teacher is a column, and half the interval stands behind the sign."""
+    (listed,) = noisy_teacher.make([noisy()], QUICK)
+    assert listed.grid.header[-3:] == ("n", "Paper", "Difference")
+    assert not any("±" in cell for cells in listed.grid.rows for cell in cells[:-2])
+    (matrix,) = noisy_teacher.make([noisy()], Settings(replicates=300, plus_minus=True))
+    assert matrix.grid.header == (
+        "Method", "stochastic", "paper", "mistaken-10", "paper", "mistaken-15", "paper", "n"
+    )  # fmt: skip
+    names = [cells[0] for cells in matrix.grid.rows]
+    assert names == ["oracle", "baseline", "rrm-proxy", "rrm-language", "rrm-imitation"]
+    wanted = row(listed.table, teacher="stochastic", method="pebble")
+    half = 50 * (wanted["high"] - wanted["low"])
+    assert matrix.grid.rows[1][1:3] == (f"{100 * wanted['iqm']:.1f} ± {half:.1f}", "71.8 ± 5.3")
+    assert all(cells[-1] == "5/5" for cells in matrix.grid.rows)
+    assert any(note.startswith("± is half") for note in matrix.notes)
+
+
+def test_the_best_method_but_the_oracle_is_bold():
+    """Under each teacher the highest value of a method other than the oracle is marked, in both forms."""
+    (listed,) = noisy_teacher.make([noisy()], QUICK)
+    bold = {listed.grid.rows[at][1] for at, _ in listed.grid.best}
+    assert bold == {"rrm-imitation", "rrm-mrn-imitation"}
+    assert len(listed.grid.best) == 3
+    (matrix,) = noisy_teacher.make([noisy()], Settings(replicates=300, plus_minus=True))
+    assert matrix.grid.best == {(4, 1), (4, 3), (4, 5)}
+
+
+def test_other_experiments_have_no_table_of_teachers_who_err():
+    """Where nobody errs, the message says which experiment is meant."""
+    plain = section("main-results", {("button-press", "pebble", "oracle", FULL): curve(1.0)}, steps=[100])
+    with pytest.raises(NoDataError, match="no runs under a teacher who errs"):
+        noisy_teacher.make([plain], QUICK)
+
+
+def test_the_last_step_is_read_with_its_interval():
+    """`final` is the IQM of the last step, with the quartiles of the seeds."""
+    values = curve(0.0, 0.5, spread=0.3, seeds=8)
+    table = final.table(section("toy", {("toy-car", "pebble", "oracle", FULL): values}, steps=[100, 200]), QUICK)
+    found = row(table, method="pebble")
+    assert (found["step"], found["n"], found["iqm"]) == (200, 8, pytest.approx(trim_mean(values[:, 1], 0.25)))
+    assert found["low"] < found["q25"] + 0.1 < found["iqm"] < found["high"]
+
+
+def little(tasks=("button-press", "door-open"), methods=("pebble", "rrm-proxy"), schedules=(FULL, "5@5000/500")):
+    series = {}
+    for t, task in enumerate(tasks):
+        for m, method in enumerate(methods):
+            for f, feedback in enumerate(schedules):
+                series[task, method, "oracle", feedback] = curve(0.1 * t, 0.5 + 0.2 * m - 0.3 * f, 0.8, spread=0.1)
+    return section("less-feedback", series, steps=[100, 200, 300])
+
+
+def test_a_budget_is_the_mean_of_the_iqm_over_the_evaluations():
+    """Each point is the mean over the evaluation steps of the IQM over seeds; all tasks together are their mean."""
+    found = little()
+    table = less_feedback.table(found, QUICK)
+    one = row(table, task="door-open", method="pebble", feedback="5@5000/500")
+    values = next(s for s in found.series if s.label[:2] == ("door-open", "pebble") and "5@5000/500" in s.label).values
+    assert one["mean_iqm"] == pytest.approx(trim_mean(values, 0.25, axis=0).mean())
+    assert (one["evaluations"], one["first_step"], one["last_step"], one["n"]) == (3, 100, 300, 5)
+    each = table[(table["method"] == "pebble") & (table["feedback"] == "5@5000/500")]
+    pooled = each[each["task"] == less_feedback.ALL_TASKS].iloc[0]
+    assert pooled["mean_iqm"] == pytest.approx(each[each["task"] != less_feedback.ALL_TASKS]["mean_iqm"].mean())
+    assert pooled["low"] < pooled["mean_iqm"] < pooled["high"]
+    assert pooled["n"] == 10
+
+
+def test_the_mean_over_tasks_is_surer_than_one_task():
+    """Its interval comes from resampling every task on its own, so that independent deviations even out."""
+    table = less_feedback.table(little(), Settings(replicates=2000))
+    width = (table["high"] - table["low"]).groupby(table["task"] == less_feedback.ALL_TASKS).mean()
+    assert 0.55 < width[True] / width[False] < 0.85  # the square root of a half, were they normal
+
+
+def test_budgets_are_rows_and_methods_columns():
+    """The grid has a column for each method, the best of a row in bold, and n."""
+    (report,) = less_feedback.make([little()], QUICK)
+    assert report.grid.header == ("Task", "Feedback", "pebble", "rrm-proxy", "n")
+    assert len(report.grid.rows) == 6
+    assert report.grid.best == {(at, 3) for at in range(6)}
+    assert report.grid.rows[0][-1] == "10/10"
+
+
+def test_a_task_without_a_second_schedule_is_left_out():
+    """Only tasks asked about by several schedules are in the table; without any there is none."""
+    with pytest.raises(NoDataError, match="several schedules"):
+        less_feedback.make([little(schedules=(FULL,))], QUICK)
+
+
+def deployed(profile="paper", length=10):
+    series, steps = {}, {}
+    for task, method in (("panda-reach", "rrm-1d"), ("panda-push", "rrm-h2o"), ("panda-pick-and-reach", "rrm-h2o")):
+        for rank, name in enumerate(("pebble", method)):
+            label = (task, name, "oracle", FULL)
+            series[label] = curve(*np.linspace(0, 0.5 + 0.4 * rank, length), spread=0.05)
+            whole = (150_000 if task == "panda-reach" else 1_000_000) // (1 if profile == "paper" else 5)
+            steps[label] = [whole * (at + 1) // 10 for at in range(10)]
+    return section("sim-to-real", series, steps=steps, profile=profile)
+
+
+def test_checkpoints_stand_beside_the_physical_robots(robot):
+    """Each task and method has three checkpoints with success and return, all published, with the difference."""
+    table = sim_to_real.table(deployed(), QUICK)
+    assert len(table) == 6 * 3 * 2
+    assert table["published"].notna().all()
+    push = row(table, task="panda-push", method="rrm-h2o", paper_step=600_000, score="return")
+    assert (push["step"], push["published"]) == (600_000, -16.8)
+    assert push["difference"] == pytest.approx(push["iqm"] + 16.8)
+    reach = table[(table["task"] == "panda-reach") & (table["method"] == "pebble") & (table["score"] == "success")]
+    assert list(reach["step"]) == [45_000, 90_000, 150_000]  # the last evaluations up to 50, 100 and 150 thousand
+
+
+def test_shorter_profiles_are_read_at_the_same_share(robot):
+    """A training of a fifth of the length is read at a fifth of the steps."""
+    table = sim_to_real.table(deployed(profile="laptop"), QUICK)
+    assert set(table[table["task"] == "panda-push"]["step"]) == {80_000, 120_000, 160_000}
+
+
+def test_checkpoints_that_are_not_reached_are_left_open(robot):
+    """Runs under way give the checkpoints that they have passed, with n 0 for the others."""
+    table = sim_to_real.table(deployed(length=5), QUICK)
+    push = table[(table["task"] == "panda-push") & (table["score"] == "success") & (table["method"] == "pebble")]
+    assert list(push["n"]) == [5, 0, 0]
+    assert push["iqm"].isna().tolist() == [False, True, True]
+
+
+def test_the_robots_grid_has_both_scores(robot):
+    """Success and return stand beside one another with the paper's value and the difference; n is in every row."""
+    (report,) = sim_to_real.make([deployed()], QUICK)
+    assert report.grid.header[4:] == (
+        "Success", "Success, 95 %", "Success, paper", "Return", "Return, 95 %", "Return, paper", "n"
+    )  # fmt: skip
+    assert len(report.grid.rows) == 18
+    assert [cells[:3] for cells in report.grid.rows[:2]] == [
+        ("panda-reach", "50,000", "pebble"),
+        ("panda-reach", "50,000", "rrm-1d"),
+    ]
+    assert len(report.grid.best) == 18  # the better one of each checkpoint, for both scores
+
+
+def test_a_store_without_the_robot_says_so():
+    """Without runs of the robot's tasks there is no table, and the message names them."""
+    plain = section("main-results", {("button-press", "pebble", "oracle", FULL): curve(1.0)}, steps=[100])
+    with pytest.raises(NoDataError, match="panda-reach"):
+        sim_to_real.make([plain], QUICK)
+
+
+def test_published_values_are_percentages_and_complete():
+    """Every success is a percentage, each robot task has three checkpoints for two methods, and sources are named."""
+    told = tomllib.loads(published.PATH.read_text())
+    assert {told[name]["source"] for name in told} == {"Tab. wrongiqm1", "Tab. realiqm"}
+    for methods in told["noisy-teacher"]["button-press"].values():
+        assert all(0 <= value <= 100 and half > 0 for value, half in methods.values())
+        assert len(methods) == 5
+    for task in published.deployed_tasks():
+        methods = {name: value for name, value in told["sim-to-real"][task].items() if isinstance(value, dict)}
+        assert len(methods) == 2
+        assert all(len(each["success"]) == len(each["return"]) == 3 for each in methods.values())
+
+
+def test_nothing_of_ours_comes_from_the_paper(monkeypatch):
+    """Without the published values every number of ours is the same."""
+    before = noisy_teacher.table(noisy(), QUICK)
+    monkeypatch.setattr(published, "final", lambda *_: None)
+    after = noisy_teacher.table(noisy(), QUICK)
+    assert after["published"].isna().all()
+    ours = ["teacher", "method", "step", "iqm", "low", "high", "n"]
+    pd.testing.assert_frame_equal(before[ours], after[ours])
+
+
+def test_everything_at_once_leaves_out_what_there_is_no_data_for():
+    """`all` holds every table of the data and names each one's kind; tables of other data are left out."""
+    made = everything.make([noisy(), little()], QUICK)
+    kinds = [report.facts["table"] for report in made]
+    assert set(kinds) == {"claims", "final", "iqm", "less-feedback", "noisy-teacher"}
+    assert kinds.count("noisy-teacher") == 1
+
+
+def test_a_section_that_cannot_be_compared_keeps_no_other_back():
+    """Methods without a common step cost their own table, which says why, and nothing else."""
+    labels = [("button-press", name, "oracle", FULL) for name in ("pebble", "rrm-proxy")]
+    apart = section(
+        "other", dict.fromkeys(labels, curve(0.1, 0.2)), steps=dict(zip(labels, ([1, 2], [3, 4]), strict=True))
+    )
+    with pytest.raises(UserError, match="no evaluation step is common"):
+        final.make([apart, little()], QUICK)
+    made = [report for report in everything.make([apart, little()], QUICK) if report.facts["table"] == "final"]
+    assert "no evaluation step is common" in made[0].notes[0]
+    assert len(made[1].table) == 8
+    assert "no evaluation step is common" in to_text(made, "latex")
