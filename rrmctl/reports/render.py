@@ -89,8 +89,8 @@ def _markdown(reports: Sequence[Report]) -> str:
     for report in reports:
         grid = report.grid
         rule = [":--" if column < grid.words else "--:" for column in range(len(grid.header))]
-        body = _cells(grid, grid.rows, lambda cell: _escape(cell, "|*_"), "**{}**")
-        lines = ["| " + " | ".join(row) + " |" for row in (grid.header, rule, *body)]
+        body = _cells(grid, grid.rows, _cell, "**{}**")
+        lines = ["| " + " | ".join(row) + " |" for row in (map(_cell, grid.header), rule, *body)]
         notes = [f"- {_escape(note, '*_')}" for note in report.notes]
         parts.append("\n".join([f"### {_escape(report.title, '*_')}", "", *lines, "", *notes]))
     return "\n\n".join(parts) + "\n"
@@ -103,6 +103,10 @@ def _cells(grid: Grid, rows: Sequence[Sequence[str]], escape: Callable[[str], st
         yield [bold.format(cell) if (at, column) in grid.best else cell for column, cell in cells]
 
 
+def _cell(text: str) -> str:
+    return _escape(text, "\\|*_")
+
+
 def _escape(text: str, signs: str) -> str:
     for sign in signs:
         text = text.replace(sign, f"\\{sign}")
@@ -112,6 +116,7 @@ def _escape(text: str, signs: str) -> str:
 _TEX = {
     "\\": r"\textbackslash{}", "&": r"\&", "%": r"\%", "$": r"\$", "#": r"\#", "_": r"\_", "{": r"\{", "}": r"\}",
     "~": r"\textasciitilde{}", "^": r"\textasciicircum{}", "<": r"\textless{}", ">": r"\textgreater{}", "–": "--",
+    "|": r"\textbar{}", '"': "''",
     "−": "$-$", "±": r"$\pm$", "≥": r"$\ge$", "≤": r"$\le$", "×": r"$\times$",
     "·": r"\textperiodcentered{}",
 }  # fmt: skip
@@ -121,7 +126,7 @@ _TEX = {
 LATEX_PACKAGES = ("booktabs", "graphicx", "longtable")
 #: Rows of a table that floats; more go over several pages. There: letters of a cell that stays on one line, the share
 #: of the text that columns with longer ones get, and between which lengths that is shared out in proportion.
-_FLOATING, _LETTERS, _FOLDED, _WEIGHTS = 30, 14, 0.62, (25, 60)
+_FLOATING, _LETTERS, _FOLDED, _WEIGHTS = 30, 14, 0.62, (34, 60)
 
 
 def _latex(reports: Sequence[Report]) -> str:

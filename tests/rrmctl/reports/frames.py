@@ -22,6 +22,12 @@ RISING = {
 }
 SATURATED = {method: [[1.0] * 4] * 5 for method in RISING}
 FEEDBACK = "50@5000/5000"
+#: What a run's provenance says, as far as it is compared.
+RECORDED = {
+    "versions": {"rrmctl": "0.1.0", "torch": "2.6.0"},
+    "fingerprint": {"metaworld": "3.1.1", "mujoco": "3.3.0", "true_reward": "aaaa"},
+    "code": "c0de",
+}
 RETURN_TASKS = ("walker-walk", "quadruped-walk")
 
 
@@ -42,6 +48,9 @@ class Sweep:
     states: dict[tuple[str, str, int], str] = field(default_factory=dict)  #: (task, method, seed); done otherwise
     lengths: dict[tuple[str, str, int], int] = field(default_factory=dict)  #: evaluations; all otherwise
     cells: dict[tuple[str, str, int], str] = field(default_factory=dict)
+    versions: dict[tuple[str, str, int], int] = field(default_factory=dict)  #: of the configuration; 2 otherwise
+    precisions: dict[tuple[str, str, int], str] = field(default_factory=dict)  #: float32 otherwise
+    recorded: dict[tuple[str, str, int], dict[str, object]] = field(default_factory=dict)  #: instead of `RECORDED`
 
     def jobs(self) -> pd.DataFrame:
         rows = []
@@ -52,11 +61,16 @@ class Sweep:
                     asked = method != "oracle" and not method.startswith("sac-")
                     labels = (task, method, *((self.teacher, self.feedback) if asked else ("-", "-")), seed)
                     own = () if labels[2:4] in (("oracle", FEEDBACK), ("-", "-")) else labels[2:4]
+                    own = (*own, *self._version(key))
                     run = digits(self.variant, *key, *own)
                     cell = self.cells.get(key, digits(self.variant, task, method, *own))
                     who = (self.experiment, self.variant, self.profile, json.dumps(self.overrides))
                     rows.append((*who, *labels, run, cell, self.states.get(key, "done"), 1, 400, 400, ""))
         return pd.DataFrame(rows, columns=list(PLANNED))
+
+    def _version(self, key: tuple[str, str, int]) -> tuple[int, ...]:
+        """Part of a run's identity, where it is not the usual one."""
+        return (self.versions[key],) if key in self.versions else ()
 
     def rows(self) -> pd.DataFrame:
         rows = []
@@ -95,7 +109,11 @@ class Sweep:
         for job in jobs.to_dict("records"):
             folder = layout.run(job["run"])
             told = {name: job[name] for name in ("profile", "task", "method", "seed", "cell", "steps")}
-            told |= {"id": folder.id, "config_version": 1, "precision": "float32", "threads": 1}
+            key = (job["task"], job["method"], job["seed"])
+            told |= {"id": folder.id, "config_version": self.versions.get(key, 2), "threads": 1}
+            told["precision"] = self.precisions.get(key, "float32")
+            if self.recorded.get(key, RECORDED):
+                write_json(folder.provenance, {"resumed": [], **self.recorded.get(key, RECORDED)})
             write_json(folder.config, told | {"evaluation": {"success": "any", "deterministic": True}})
             write_status(folder, Status(state=State(job["state"]), steps=400))
             curve = rows[rows["run"] == job["run"]][[*IDENTITY, *MEASURED]].astype({"queries": int, "labels": int})

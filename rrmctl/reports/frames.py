@@ -1,0 +1,54 @@
+"""The tables as DataFrames, for notebooks: `table("less-feedback", "results/reference")`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from rrmctl.errors import UserError
+from rrmctl.planning.manifest import nearest
+from rrmctl.reports.kinds import kinds
+from rrmctl.reports.select import of_profile, read_sections
+from rrmctl.reports.settings import DEFAULTS, Settings
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+
+def table(
+    kind: str,
+    results: str | Path = "results",
+    experiment: str | None = None,
+    *,
+    profile: str | None = None,
+    allow_mixed: bool = False,
+    settings: Settings = DEFAULTS,
+) -> pd.DataFrame:
+    """What `rrmctl report KIND [EXPERIMENT]` shows, in raw values: success as a fraction, NaN where there is nothing.
+
+    Args:
+        kind: a table, as on the command line.
+        results: the results root.
+        experiment: default the kind's own, or all.
+        profile: default all.
+        allow_mixed: as `--allow-mixed`.
+        settings: kind of IQM and replicates.
+
+    Returns:
+        `experiment, profile, variant`, then the columns of the table (docs/reports.md).
+
+    Raises:
+        UserError: no such table, nothing to show, or runs that do not belong together.
+    """
+    import pandas as pd
+
+    known = kinds()
+    if kind not in known:
+        raise UserError(f'there is no table "{kind}"{nearest(kind, known)}', f"there are: {', '.join(known)}")
+    module = known[kind].load()
+    found = read_sections(results, experiment or module.EXPERIMENT, allow_mixed=allow_mixed)
+    made = module.make(of_profile(found, profile), settings)
+    whose = ("experiment", "profile", "variant")
+    tables = [report.table.assign(**{name: report.facts[name] for name in whose}) for report in made]
+    whole: pd.DataFrame = pd.concat(tables, ignore_index=True)
+    return whole.reindex(columns=[*whose, *(name for name in whole.columns if name not in whose)])

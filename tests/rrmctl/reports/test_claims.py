@@ -1,0 +1,224 @@
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from rrmctl.planning.manifest import load
+from rrmctl.planning.plan import make_plan
+from rrmctl.reports.claims import BOX, FINAL, MEAN, Arm, Budget, Claim, Reading, above, at_least, below
+from rrmctl.reports.document import NoDataError
+from rrmctl.reports.judging import judge
+from rrmctl.reports.kinds import claims
+from rrmctl.reports.prose import CLAIMS
+from rrmctl.reports.settings import Settings
+from tests.rrmctl.reports.stores import FULL, curve, section
+
+QUICK = Settings(replicates=2000)
+STEPS = list(range(10_000, 510_000, 10_000))
+EXPERIMENTS = Path(__file__).parents[3] / "experiments"
+LITTLE = "5@5000/500"
+
+
+def claim(*tests, tasks=("button-press",), pooled=False):
+    return Claim(name="c", says="it is so", where="here", experiment="e", tasks=tasks, tests=tests, pooled=pooled)
+
+
+def store(ends, *, seeds=10, spread=0.1, profile="paper", states=None, task="button-press", feedback=FULL):
+    """One section, in which each method rises to its end."""
+    series = {
+        (task, name, "oracle", feedback): curve(0.0, end / 2, end, seeds=seeds, spread=spread)
+        for name, end in ends.items()
+    }
+    return section("e", series, steps=[100, 200, 300], profile=profile, states=states)
+
+
+def verdict(tests, found):
+    return judge(claim(*tests), {"e": found}, QUICK).verdict
+
+
+@pytest.mark.parametrize(
+    ("end", "expected"), [(0.4, "held"), (0.9, "not held"), (0.65, "not enough data"), (0.63, "not enough data")]
+)
+def test_a_bound_is_settled_by_the_whole_interval(end, expected):
+    """Below 65 % is held where the interval ends before, not held where it begins behind, open where it contains it."""
+    assert verdict(below(0.65, "sac-proxy"), store({"sac-proxy": end}, spread=0.2)) == expected
+    opposite = {"held": "not held", "not held": "held"}.get(expected, expected)
+    assert verdict(at_least(0.65, "sac-proxy"), store({"sac-proxy": end}, spread=0.2)) == opposite
+
+
+@pytest.mark.parametrize(
+    ("ours", "theirs", "expected"),
+    [(0.9, 0.5, "held"), (0.5, 0.9, "not held"), (0.55, 0.5, "not enough data"), (1.0, 1.0, "not held")],
+)
+def test_an_order_is_settled_by_the_difference(ours, theirs, expected):
+    """Above means a difference above zero: methods that are surely level are not above one another."""
+    spread = 0.0 if ours == theirs else 0.3
+    found = store({"rrm-proxy": ours, "pebble": theirs}, spread=spread)
+    assert verdict(above("pebble", "rrm-proxy", reading=FINAL), found) == expected
+
+
+def test_two_methods_are_resampled_apart():
+    """The interval of a difference is wider than that of either method, as of two independent ones."""
+    found = store({"rrm-proxy": 0.6, "pebble": 0.4}, spread=0.2)
+    (difference,) = judge(claim(*above("pebble", "rrm-proxy", reading=FINAL)), {"e": found}, QUICK).findings
+    (alone,) = judge(claim(*at_least(0.1, "pebble")), {"e": found}, QUICK).findings
+    width, single = (float(each.found.high - each.found.low) for each in (difference, alone))
+    assert 1.2 < width / single < 1.6
+
+
+def test_a_claim_holds_where_all_its_comparisons_do():
+    """One refuted comparison refutes the claim; one open comparison leaves it open."""
+    tests = below(0.65, "sac-proxy", "sac-h2o")
+    assert verdict(tests, store({"sac-proxy": 0.3, "sac-h2o": 0.4})) == "held"
+    assert verdict(tests, store({"sac-proxy": 0.3, "sac-h2o": 0.9})) == "not held"
+    assert verdict(tests, store({"sac-proxy": 0.3})) == "not enough data"
+    assert verdict(tests, store({"sac-proxy": 0.9})) == "not held"  # whatever the missing one would say
+
+
+def test_many_comparisons_are_not_refuted_by_chance():
+    """What refutes a claim by itself does not as one of fifty: one of so many is soon beyond its interval by chance."""
+    found = store({"sac-proxy": 0.66}, spread=0.1, seeds=10)
+    values = found.series[0].values
+    low = float(judge(claim(*below(0.5, "sac-proxy")), {"e": found}, QUICK).findings[0].found.low)
+    bound = low - 0.001
+    assert values.mean() < bound
+    assert verdict(below(bound, "sac-proxy"), found) == "not held"
+    many = tuple(dataclasses.replace(test) for test in below(bound, *["sac-proxy"] * 50))
+    assert verdict(many, found) == "not enough data"
+
+
+def test_too_little_data_is_told():
+    """Two seeds, a missing method, runs under way and an unknown experiment are each named as what is missing."""
+    tests = below(0.65, "sac-proxy")
+    running = {("sac-proxy", seed): "running" for seed in range(10)}
+    for found, why in (
+        ({"e": store({"sac-proxy": 0.1}, seeds=2)}, "2 seeds; an interval needs 3"),
+        ({"e": store({"pebble": 0.1})}, "no runs of sac-proxy, button-press"),
+        ({"e": store({"sac-proxy": 0.1}, states=running)}, "under way"),
+        ({}, "no runs of e"),
+        ({"e": store({"sac-proxy": 0.1}, profile="smoke")}, "smoke is no result"),
+    ):
+        judged = judge(claim(*tests), found, QUICK)
+        assert judged.verdict == "not enough data"
+        assert why in judged.deciding.why
+
+
+def test_readings():
+    """The last step, the mean over the steps, the beginning, the box's step and the spread are what they say."""
+    values = np.array([[0.0, 0.2, 1.0, 0.8]] * 5)
+    found = section("e", {("button-press", "pebble", "oracle", FULL): values}, steps=[100, 200, 300, 400])
+
+    def read(reading):
+        (finding,) = judge(claim(*at_least(0.1, "pebble", reading=reading)), {"e": found}, QUICK).findings
+        return float(finding.found.estimate)
+
+    assert read(FINAL) == 0.8
+    assert read(MEAN) == pytest.approx(0.5)
+    assert read(BOX) == 1.0  # four of five seeds are at 100 % at step 300
+    assert read(Reading(words="half", until=0.5)) == 0.2
+    assert read(Reading(words="first half", until=0.5, steps="all")) == pytest.approx(0.1)
+    assert read(Reading(words="spread", spread=True)) == 0.0
+
+
+def test_schedules_are_found_at_every_scale():
+    """A tenth of the questions is a tenth of them in a shorter profile too."""
+    tests = below(0.6, Arm("pebble", budget=Budget(batch=0.1)), Arm("pebble", budget=Budget(every=4)))
+    for labels in ((FULL, LITTLE, "50@20000/1250"), ("50@2500/2000", "5@2500/200", "50@10000/500")):
+        ends = dict(zip(labels, (0.9, 0.2, 0.3), strict=True))
+        series = {("button-press", "pebble", "oracle", name): curve(end, end) for name, end in ends.items()}
+        judged = judge(claim(*tests), {"e": section("e", series, steps=[1, 2])}, QUICK)
+        assert [float(each.found.estimate) for each in judged.findings] == [0.2, 0.3]
+        assert judged.verdict == "held"
+
+
+def test_pooled_tasks_are_one_number():
+    """Tasks read at one step each are pooled as in the box figure; every task must be there."""
+    labels = [(task, "pebble", "oracle", FULL) for task in ("button-press", "door-open")]
+    found = section("e", {labels[0]: curve(0.2), labels[1]: curve(0.8)}, steps=[1])
+    pooled = claim(*at_least(0.1, "pebble"), tasks=("button-press", "door-open"), pooled=True)
+    (finding,) = judge(pooled, {"e": found}, QUICK).findings
+    assert (float(finding.found.estimate), finding.found.n) == (pytest.approx(0.5), 5)
+    half = section("e", {labels[0]: curve(0.2)}, steps=[1])
+    assert judge(pooled, {"e": half}, QUICK).verdict == "not enough data"
+
+
+def test_measured_columns_are_claimed_too():
+    """Accuracy of the labels after a tenth of the training, and whether prior or residual weighs more."""
+    ramp = np.linspace(0, 1, 50)
+    columns = {
+        "success": ramp, "label_accuracy": np.minimum(1.0, 0.5 + 6 * ramp),
+        "prior_mean": np.full(50, -0.5), "residual_mean": 2 * ramp,
+    }  # fmt: skip
+    told = {name: np.tile(values, (5, 1)) for name, values in columns.items()}
+    found = section("opposite-prior", {("button-press", "rrm-opposite", "oracle", FULL): told}, steps=STEPS)
+    by_name = {each.name: judge(each, {"opposite-prior": found}, QUICK) for each in CLAIMS}
+    names = ("opposite-prior-first", "opposite-accuracy", "opposite-residual-last")
+    assert [by_name[name].verdict for name in names] == ["held", "held", "held"]
+    assert float(by_name["opposite-residual-last"].findings[0].found.estimate) == pytest.approx(1.5)
+    told["label_accuracy"][:, 4] = np.nan
+    broken = section("opposite-prior", {("button-press", "rrm-opposite", "oracle", FULL): told}, steps=STEPS)
+    (accuracy,) = (each for each in CLAIMS if each.name == "opposite-accuracy")
+    assert "is not measured" in judge(accuracy, {"opposite-prior": broken}, QUICK).deciding.why
+
+
+def planned(name):
+    """A section with three seeds of everything that a manifest plans, made up."""
+    plan = make_plan(load(EXPERIMENTS / f"{name}.toml"), seeds=(0, 1, 2))
+    labels = dict.fromkeys((job.task, job.method, job.teacher, job.feedback) for job in plan.jobs)
+    rng = np.random.default_rng(0)
+    return section(name, {label: rng.random((3, len(STEPS))) for label in labels}, steps=STEPS)
+
+
+@pytest.mark.parametrize("experiment", sorted({each.experiment for each in CLAIMS}))
+def test_every_claim_is_one_of_a_manifest(experiment):
+    """What a claim compares is what its experiment plans: with all runs there, no comparison misses any."""
+    found = planned(experiment)
+    for each in (each for each in CLAIMS if each.experiment == experiment):
+        judged = judge(each, {experiment: found}, Settings(replicates=100))
+        assert {finding.why for finding in judged.findings} <= {"", "the interval allows both"}, each.name
+        assert all(finding.found.n == 3 for finding in judged.findings)
+
+
+def test_claims_have_names_of_their_own():
+    """Names are unique, and claims of one experiment stand together."""
+    assert len({each.name for each in CLAIMS}) == len(CLAIMS)
+    changes = [a.experiment != b.experiment for a, b in zip(CLAIMS, CLAIMS[1:], strict=False)]
+    assert sum(changes) + 1 == len({each.experiment for each in CLAIMS})
+
+
+ABLATION = {
+    ("door-unlock", "sac-opposite", "-", "-"): curve(0, 0.0, seeds=10),
+    ("button-press", "sac-opposite", "-", "-"): curve(0, 0.0, seeds=10),
+    ("door-unlock", "rrm-opposite", "oracle", FULL): curve(0, 0.5, seeds=10),
+    ("button-press", "rrm-opposite", "oracle", FULL): curve(0, 1.0, seeds=10),
+}
+
+
+def test_the_table_lists_every_claim_with_its_verdict():
+    """Each claim is a row with the comparison that decides; the frame has a row for each comparison."""
+    (report,) = claims.make([section("ablation-prior", ABLATION, steps=[1, 2])], QUICK)
+    verdicts = {row[1]: row[2] for row in report.grid.rows}
+    assert len(report.grid.rows) == len(CLAIMS)
+    assert verdicts["... despite SAC not being able to learn from it"] == "held"
+    assert verdicts["with an opposite proxy reward RRM still achieves a 100 % success rate"] == "not held"
+    assert len(report.table) == sum(len(c.tests) * (1 if c.pooled else len(c.tasks)) for c in CLAIMS)
+    failed = report.table[(report.table["claim"] == "opposite-reaches-100") & report.table["decides"]].iloc[0]
+    assert (failed["task"], failed["found"], failed["low"], failed["n"]) == ("door-unlock", 0.5, 0.5, 10)
+    assert report.notes[0].startswith(f"{len(CLAIMS)} claims: ")
+
+
+def test_other_profiles_are_named_in_the_verdict():
+    """Profiles are judged apart, and a verdict that is not of the paper's scale says so, as do overrides."""
+    paper = section("ablation-prior", ABLATION, steps=[1, 2])
+    laptop = section("ablation-prior", ABLATION, steps=[1, 2], profile="laptop", overrides={"agent.batch": 64})
+    first, second = claims.make([paper, laptop], QUICK)
+    assert set(first.table["verdict"]) == {"held", "not held", "not enough data"}
+    assert "held (profile laptop, agent.batch=64)" in set(second.table["verdict"])
+    assert all(name.endswith("(profile laptop, agent.batch=64)") for name in second.table["verdict"])
+
+
+def test_experiments_without_claims_have_no_table():
+    """Of an experiment the prose does not speak of there is nothing to judge."""
+    with pytest.raises(NoDataError, match="claims nothing"):
+        claims.make([section("toy-car", {("toy-car", "pebble", "oracle", FULL): curve(1.0)}, steps=[1])], QUICK)
