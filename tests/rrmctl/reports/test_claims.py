@@ -1,4 +1,5 @@
 import dataclasses
+import itertools
 from pathlib import Path
 
 import numpy as np
@@ -113,12 +114,12 @@ def test_readings():
         (finding,) = judge(claim(*at_least(0.1, "pebble", reading=reading)), {"e": found}, QUICK).findings
         return float(finding.found.estimate)
 
-    assert read(FINAL) == 0.8
+    assert read(FINAL) == pytest.approx(0.8)
     assert read(MEAN) == pytest.approx(0.5)
     assert read(BOX) == 1.0  # four of five seeds are at 100 % at step 300
-    assert read(Reading(words="half", until=0.5)) == 0.2
+    assert read(Reading(words="half", until=0.5)) == pytest.approx(0.2)
     assert read(Reading(words="first half", until=0.5, steps="all")) == pytest.approx(0.1)
-    assert read(Reading(words="spread", spread=True)) == 0.0
+    assert read(Reading(words="spread", spread=True)) == pytest.approx(0.0)
 
 
 def test_schedules_are_found_at_every_scale():
@@ -128,7 +129,7 @@ def test_schedules_are_found_at_every_scale():
         ends = dict(zip(labels, (0.9, 0.2, 0.3), strict=True))
         series = {("button-press", "pebble", "oracle", name): curve(end, end) for name, end in ends.items()}
         judged = judge(claim(*tests), {"e": section("e", series, steps=[1, 2])}, QUICK)
-        assert [float(each.found.estimate) for each in judged.findings] == [0.2, 0.3]
+        assert [float(each.found.estimate) for each in judged.findings] == pytest.approx([0.2, 0.3])
         assert judged.verdict == "held"
 
 
@@ -183,7 +184,7 @@ def test_every_claim_is_one_of_a_manifest(experiment):
 def test_claims_have_names_of_their_own():
     """Names are unique, and claims of one experiment stand together."""
     assert len({each.name for each in CLAIMS}) == len(CLAIMS)
-    changes = [a.experiment != b.experiment for a, b in zip(CLAIMS, CLAIMS[1:], strict=False)]
+    changes = [a.experiment != b.experiment for a, b in itertools.pairwise(CLAIMS)]
     assert sum(changes) + 1 == len({each.experiment for each in CLAIMS})
 
 

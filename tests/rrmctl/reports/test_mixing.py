@@ -128,7 +128,7 @@ def test_mixed_curves_are_drawn_on_demand_and_never_kept(tmp_path):
 
 
 def test_what_was_trained_anew_takes_the_place_of_the_old(tmp_path):
-    """After a sweep with a newer version the old runs are left out, with a note, and count as neither planned nor absent."""
+    """After a sweep with a newer version the old runs are left out, which is said; they are not planned nor absent."""
     Sweep(versions={(TASK, m, s): 1 for m in RISING for s in range(5)}).write(tmp_path)
     (before,) = read_sections(tmp_path)
     Sweep().write(tmp_path)

@@ -11,6 +11,7 @@ import pandas as pd
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from rich.console import Console
 
 import rrmctl
 from rrmctl.errors import UserError
@@ -18,7 +19,7 @@ from rrmctl.reports.document import Grid, Report, highest
 from rrmctl.reports.kinds import kinds
 from rrmctl.reports.kinds.iqm import make
 from rrmctl.reports.notebook import table
-from rrmctl.reports.render import FORMATS, console_for, print_terminal, to_text
+from rrmctl.reports.render import FORMATS, print_terminal, to_text
 from rrmctl.reports.select import read_sections
 from rrmctl.reports.settings import Settings
 from tests.rrmctl.reports.frames import Sweep
@@ -42,7 +43,11 @@ def make(sections, settings):
         Report(
             title(section),
             pd.DataFrame({{"runs": [section.contained]}}),
-            Grid(("What", "Runs"), (("all", str(section.contained)), ("sign", str(settings.plus_minus))), best=frozenset({{(0, 1)}})),
+            Grid(
+                ("What", "Runs"),
+                (("all", str(section.contained)), ("sign", str(settings.plus_minus))),
+                best=frozenset({{(0, 1)}}),
+            ),
             (),
             facts(section, settings),
         )
@@ -122,13 +127,7 @@ def test_the_best_is_bold_in_every_text():
     assert to_text([bold()], "latex").count(r"\textbf") == 1
     assert r"b & \textbf{97.5 \%} \\" in to_text([bold()], "latex")
     file = io.StringIO()
-    console = console_for(file)
-    console._force_terminal, console._color_system, console.no_color = True, None, False
-    from rich.console import Console
-
-    print_terminal(
-        [bold()], Console(file=file, force_terminal=True, width=80, highlight=False, color_system="standard")
-    )
+    print_terminal([bold()], Console(file=file, force_terminal=True, width=80, color_system="standard"))
     assert "\x1b[1m97.5 %\x1b[0m" in file.getvalue()
     assert "\x1b[1m3.0 %" not in file.getvalue()
 
