@@ -11,7 +11,9 @@ import typer
 
 from rrmctl.cli.app import app
 from rrmctl.planning.manifest import load
+from rrmctl.reports import tables
 from rrmctl.reports.figures import figures
+from rrmctl.reports.kinds import kinds
 
 ROOT = Path(__file__).parent.parent
 README = (ROOT / "README.md").read_text()
@@ -108,3 +110,14 @@ def test_the_notebook_example_draws(monkeypatch):
     monkeypatch.chdir(ROOT)
     (code,) = re.findall(r"```python\n(.*?)```", REPORTS.split("### In a notebook")[1].split("\n## ")[0], re.DOTALL)
     exec(code, {})
+
+
+def test_the_page_of_reports_lists_the_tables():
+    """Every table has a row, and the columns it names are the table's."""
+    page = REPORTS.split("### What never shares")[0]
+    rows = dict(re.findall(r"^\| `([a-z-]+)` \|.*\| `(.*)` \|$", page, re.MULTILINE))
+    assert set(rows) == set(kinds())
+    everywhere = set(re.search(r"Most have `(.*?)`", page).group(1).split(", "))
+    for name, entry in kinds().items():
+        columns = tables.COLUMNS if name == "iqm" else getattr(entry.load(), "COLUMNS", ("table",))
+        assert set(columns) - everywhere == set(rows[name].split(", ")) - everywhere, name

@@ -1,4 +1,7 @@
+import io
+import json
 import tomllib
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -9,7 +12,7 @@ from rrmctl.errors import UserError
 from rrmctl.reports import published
 from rrmctl.reports.document import NoDataError
 from rrmctl.reports.kinds import all as everything
-from rrmctl.reports.kinds import final, less_feedback, noisy_teacher, sim_to_real
+from rrmctl.reports.kinds import claims, final, less_feedback, noisy_teacher, sim_to_real
 from rrmctl.reports.render import to_text
 from rrmctl.reports.settings import Settings
 from tests.rrmctl.reports.stores import FULL, curve, section
@@ -250,3 +253,35 @@ def test_a_section_that_cannot_be_compared_keeps_no_other_back():
     assert "no evaluation step is common" in made[0].notes[0]
     assert len(made[1].table) == 8
     assert "no evaluation step is common" in to_text(made, "latex")
+
+
+GOLDEN = Path(__file__).with_name("golden")
+RECORDED = {
+    "noisy-teacher": lambda: noisy_teacher.make([noisy(profile="laptop")], QUICK),
+    "noisy-teacher-plus-minus": lambda: noisy_teacher.make([noisy()], Settings(replicates=300, plus_minus=True)),
+    "less-feedback": lambda: less_feedback.make([little()], QUICK),
+    "sim-to-real": lambda: sim_to_real.make([deployed()], QUICK),
+    "final": lambda: final.make([little(schedules=(FULL,))], QUICK),
+    "claims": lambda: claims.make([noisy()], QUICK),
+}
+
+
+@pytest.mark.parametrize(("form", "suffix"), [("markdown", "md"), ("latex", "tex"), ("terminal", "txt")])
+@pytest.mark.parametrize("name", RECORDED)
+def test_text_is_as_recorded(name, form, suffix, robot):
+    """The text of every kind is that of the golden file, to the byte."""
+    assert to_text(RECORDED[name](), form) == (GOLDEN / f"{name}.{suffix}").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize("name", RECORDED)
+def test_values_are_as_recorded(name, robot):
+    """CSV and JSON of every kind are the golden files', but for the last digits of a processor's sums."""
+
+    def rounded(text):
+        return json.loads(text, parse_float=lambda digits: round(float(digits), 9))
+
+    reports = RECORDED[name]()
+    found, wanted = (pd.read_csv(each) for each in (io.StringIO(to_text(reports, "csv")), GOLDEN / f"{name}.csv"))
+    pd.testing.assert_frame_equal(found, wanted, rtol=1e-9)
+    recorded = (GOLDEN / f"{name}.json").read_text(encoding="utf-8")
+    assert rounded(to_text(reports, "json")) == rounded(recorded)
