@@ -237,7 +237,7 @@ def test_everything_at_once_leaves_out_what_there_is_no_data_for():
     """`all` holds every table of the data and names each one's kind; tables of other data are left out."""
     made = everything.make([noisy(), little()], QUICK)
     kinds = [report.facts["table"] for report in made]
-    assert set(kinds) == {"claims", "final", "iqm", "less-feedback", "noisy-teacher"}
+    assert set(kinds) == {"claims", "final", "iqm", "less-feedback", "noisy-teacher", "power"}
     assert kinds.count("noisy-teacher") == 1
 
 
