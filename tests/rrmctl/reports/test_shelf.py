@@ -16,9 +16,9 @@ from rich.console import Console
 import rrmctl
 from rrmctl.errors import UserError
 from rrmctl.reports.document import Grid, Report, highest
+from rrmctl.reports.frames import table
 from rrmctl.reports.kinds import kinds
 from rrmctl.reports.kinds.iqm import make
-from rrmctl.reports.notebook import table
 from rrmctl.reports.render import FORMATS, print_terminal, to_text
 from rrmctl.reports.select import read_sections
 from rrmctl.reports.settings import Settings
