@@ -35,6 +35,11 @@ class Label(NamedTuple):
     teacher: str
     feedback: str
 
+    @property
+    def knows(self) -> bool:
+        """Whether it is the oracle, or a variant of it such as oracle-bfloat16."""
+        return self.method.partition("-")[0] == ORACLE
+
     def __str__(self) -> str:
         asked = [each for each in (self.teacher, self.feedback) if each != NOTHING_ASKED]
         return f"{self.task}, {self.method}" + (f" ({', '.join(asked)})" if asked else "")
@@ -107,8 +112,8 @@ class Panel:
         steps = self.steps()
         if self.score == "return":
             return CommonStep(index=steps.size - 1, step=int(steps[-1]), reached=False, by=())
-        success = {each.label.method: at_steps(each, steps) for each in self.present()}
-        return common_step(steps, success, oracle=ORACLE)
+        success = {each.label.method: at_steps(each, steps) for each in self.present() if not each.label.knows}
+        return common_step(steps, success)
 
 
 @dataclass(frozen=True, eq=False)
