@@ -6,19 +6,22 @@ PYTHON ?= $(shell for p in python3 python3.12 python3.11; do \
 BIN := .venv/bin
 PYTEST := $(BIN)/python -m pytest
 
-.PHONY: quickstart test test-slow check install bench soak clean
+.PHONY: quickstart test test-slow check install browser bench soak clean
 
 quickstart: install
 	$(BIN)/rrmctl run quickstart
 	$(BIN)/rrmctl report iqm quickstart
 	$(BIN)/rrmctl plot quickstart
 
-test: install
+test: install browser
 	$(PYTEST) -n auto -m "not slow"
 
-test-slow: install
+test-slow: install browser
 	$(PYTEST) -n auto -m slow
 
+# A headless Chromium from npm for the tests of the HTML report; without one they are skipped, or fail where CI is set.
+browser: install
+	@$(BIN)/python -m tests.browser
 
 check: install
 	$(BIN)/ruff format --check .
