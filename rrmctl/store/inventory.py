@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import datetime
 import json
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rrmctl.store.atomic import read_json
 from rrmctl.store.layout import RunFolder
-from rrmctl.store.reader import PLANNED, load, open_results, planned, read_config
+from rrmctl.store.reader import PLANNED, open_results, planned, read_config, read_curve
 from rrmctl.store.schema import LABELS, MEASURED, curve_schema
 
 if TYPE_CHECKING:
@@ -66,25 +67,36 @@ class Run:
         }  # fmt: skip
 
 
-def inventory(results: str | Path = "results", experiment: str | None = None) -> tuple[Run, ...]:
+def inventory(
+    results: str | Path = "results", experiment: str | None = None, *, needed: bool = False
+) -> tuple[Run, ...]:
     """The planned runs of an experiment, or of all of them, in the order of the plan.
+
+    Args:
+        needed: instead of the planned runs those that they need: experts, demonstrations.
 
     Raises:
         UserError: the experiment has never been run here, or a file is damaged; the message names it.
     """
     layout = open_results(results)
-    curves = dict(tuple(load(results, experiment).drop_duplicates(["run", "step"]).groupby("run", sort=False)))
-    empty = _no_rows()
-    plans: list[dict[str, Any]] = planned(results, experiment).to_dict("records")  # type: ignore[assignment]
-    return tuple(
-        Run(
-            plan=plan,
-            config=_config(layout.run(plan["run"])),
-            provenance=read_json(layout.run(plan["run"]).provenance),
-            curve=curves[plan["run"]][list(MEASURED)].reset_index(drop=True) if plan["run"] in curves else empty,
-        )
-        for plan in plans
-    )
+    plans: list[dict[str, Any]] = planned(results, experiment, needed=needed).to_dict("records")  # type: ignore[assignment]
+    return tuple(_run(layout.run(plan["run"]), plan) for plan in plans)
+
+
+def _run(folder: RunFolder, plan: dict[str, Any]) -> Run:
+    rows = read_curve(folder)
+    curve: pd.DataFrame = (curve_schema().empty_table() if rows is None else rows).to_pandas()
+    config = read_config(folder) if folder.config.exists() else None
+    return Run(plan=plan, config=config, provenance=read_json(folder.provenance), curve=curve[list(MEASURED)])
+
+
+def settings(config: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    """The values of a configuration by dotted name; a list is one value."""
+    found: dict[str, Any] = {}
+    for name, value in config.items():
+        inner = isinstance(value, Mapping)
+        found |= settings(value, f"{prefix}{name}.") if inner else {prefix + name: value}
+    return found
 
 
 def table(runs: Iterable[Run]) -> pd.DataFrame:
@@ -94,12 +106,3 @@ def table(runs: Iterable[Run]) -> pd.DataFrame:
     frame = pd.DataFrame([run.plan | run.facts() for run in runs], columns=[*PLANNED, *FACTS])
     whole = dict.fromkeys(("evaluations", "queries", "labels", "threads", "config_version", "resumed"), "Int64")
     return frame.astype({**whole, "wall_s": "float64"})
-
-
-def _config(folder: RunFolder) -> dict[str, Any] | None:
-    return read_config(folder) if folder.config.exists() else None
-
-
-def _no_rows() -> pd.DataFrame:
-    frame: pd.DataFrame = curve_schema().empty_table().to_pandas()
-    return frame[list(MEASURED)]

@@ -12,14 +12,14 @@ import io
 import json
 import math
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rrmctl.export.bundle import Bundle
 from rrmctl.export.extras import require
 from rrmctl.store.atomic import write_bytes
-from rrmctl.store.inventory import Run
+from rrmctl.store.inventory import Run, settings
 from rrmctl.store.schema import MEASURED
 
 if TYPE_CHECKING:
@@ -88,7 +88,7 @@ def _events(run: Run) -> Iterator[Event]:
     about = {"plan": run.plan, "config": run.config, "provenance": run.provenance}
     for name, content in about.items():
         yield Event(wall_time=start, step=0, summary=text_pb(name, _as_block(content)))
-    hyper = hparams_pb(_flat({"method": run.plan["method"], **(run.config or {})}), run.id, start)
+    hyper = hparams_pb(_hyperparameters(run), run.id, start)
     yield Event(wall_time=start, step=0, summary=hyper)
     for row in run.curve.to_dict("records"):
         values = [
@@ -104,14 +104,7 @@ def _as_block(content: Any) -> str:
     return "\n".join(f"    {line}" for line in json.dumps(content, indent=2, default=str).splitlines())
 
 
-def _flat(config: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
-    """Plain values by dotted name; what is not set is left out."""
-    found: dict[str, Any] = {}
-    for name, value in config.items():
-        if isinstance(value, Mapping):
-            found |= _flat(value, f"{prefix}{name}.")
-        elif isinstance(value, str | bool | int | float):
-            found[prefix + name] = value
-        elif value is not None:
-            found[prefix + name] = json.dumps(value)
-    return found
+def _hyperparameters(run: Run) -> dict[str, str | bool | float]:
+    """Settings as the plugin takes them; what is not set is left out."""
+    plain = {name: value for name, value in settings(run.config or {}).items() if value is not None}
+    return {name: value if isinstance(value, str | bool | int | float) else str(value) for name, value in plain.items()}
