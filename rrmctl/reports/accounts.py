@@ -53,7 +53,7 @@ def _spent(runs: Sequence[Run]) -> tuple[Any, ...]:
 
 
 def common_settings(runs: Iterable[Run]) -> pd.DataFrame:
-    """The settings that all configured runs share: columns `setting, value`, the value as JSON."""
+    """The settings that all configured runs share: columns `setting, value`, values as JSON, none unset."""
     import pandas as pd
 
     found = [_settings(run) for run in runs if run.config is not None]
@@ -83,7 +83,7 @@ def differing_settings(runs: Iterable[Run]) -> pd.DataFrame:
 
 def _settings(run: Run) -> dict[str, str]:
     found = settings(run.config or {})
-    return {name: json.dumps(value) for name, value in found.items() if name not in _IDENTITY}
+    return {name: json.dumps(value) for name, value in found.items() if name not in _IDENTITY and value is not None}
 
 
 def _shared(name: str, found: Sequence[Mapping[str, str]]) -> bool:

@@ -72,7 +72,7 @@ def chapter(variant: Variant, settings: Settings) -> Part:
         if isinstance(section, Section) and section.contained
         else ()
     )
-    told = (*shown, *listings.parts(name, heading, variant.runs, variant.needed))
+    told = (*shown, *listings.parts(name, variant.runs, variant.needed))
     parts = tuple(Part(id_, heading_, body) for id_, heading_, body in told if body)
     return Part(name, heading, joined(_state(variant.runs, section)), parts)
 
@@ -96,7 +96,7 @@ def _figures(section: Section, name: str, settings: Settings) -> tuple[str, str,
         module = entry.load()
         if not module.suits(section):
             continue
-        caption = f"{figure}: {entry.help.splitlines()[0]}"
+        caption = f"{entry.help.splitlines()[0]} (rrmctl plot --figure {figure})"
         try:
             drawn = module.draw(section, settings)
         except UserError as error:
@@ -121,7 +121,7 @@ def _reports(section: Section, name: str, settings: Settings) -> tuple[str, str,
     pieces = [
         element(
             "div",
-            tables.of_grid(report.grid, f"{kind}: {kinds()[kind].help.splitlines()[0]}"),
+            tables.of_grid(report.grid, f"{kinds()[kind].help.splitlines()[0]} (rrmctl report {kind})"),
             _notes([note for note in report.notes if note not in shared]),
             id=f"{name}-{identifier(kind)}" + (f"-{at}" if at else ""),
         )

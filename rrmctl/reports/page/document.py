@@ -119,12 +119,17 @@ def _whole(heading: str, parts: Sequence[Part]) -> str:
         element("style", Html(style)),
     )
     entries = element("ul", *(part.entry() for part in parts))
-    contents = element("nav", element("h2", "Contents"), entries, aria_label="Contents")
+    contents = element("details", element("summary", "Contents"), entries, open=True)
     body = element(
         "body",
         element("a", "Skip to the report", href="#overview", class_="skip"),
         element("header", element("h1", heading)),
-        element("div", contents, element("main", *(part.html() for part in parts)), class_="sides"),
+        element(
+            "div",
+            element("nav", contents, aria_label="Contents"),
+            element("main", *(part.html() for part in parts)),
+            class_="sides",
+        ),
         element("dialog", aria_label="Enlarged figure"),
         element("script", Html(script)),
     )

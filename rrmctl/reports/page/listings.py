@@ -5,13 +5,19 @@ from __future__ import annotations
 import json
 import shlex
 from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING
 
 from rrmctl.reports.accounts import GROUP, common_settings, differing_settings, makings, spending, total
 from rrmctl.reports.page.html import Html, element, joined
 from rrmctl.reports.page.tables import Column, of_rows
 from rrmctl.store.inventory import Run, table
 
+if TYPE_CHECKING:
+    import pandas as pd
+
 _WHOLE = "{:,.0f}".format
+#: Groups of runs whose settings fit side by side.
+_FEW = 8
 #: States of runs that need somebody's attention.
 TROUBLE = ("failed", "blocked", "unreadable")
 
@@ -25,13 +31,13 @@ def clock(seconds: float) -> str:
     return f"{whole} s"
 
 
-def parts(name: str, heading: str, runs: Sequence[Run], needed: Sequence[Run]) -> Iterator[tuple[str, str, Html]]:
+def parts(name: str, runs: Sequence[Run], needed: Sequence[Run]) -> Iterator[tuple[str, str, Html]]:
     """Id, title and content of each list; empty ones are left out by who takes them."""
     yield f"{name}-failures", "Failures", _failures([*runs, *needed])
-    yield f"{name}-spent", "Steps, feedback and time", _spent(runs, needed, heading)
-    yield f"{name}-runs", "Runs", _inventory(runs, needed, heading)
-    yield f"{name}-settings", "Settings", _settings(runs, heading)
-    yield f"{name}-versions", "Machines and versions", _makings([*runs, *needed], heading)
+    yield f"{name}-spent", "Steps, feedback and time", _spent(runs, needed)
+    yield f"{name}-runs", "Runs", _inventory(runs, needed)
+    yield f"{name}-settings", "Settings", _settings(runs)
+    yield f"{name}-versions", "Machines and versions", _makings([*runs, *needed])
     yield f"{name}-again", "How to reproduce it", _commands(runs)
 
 
@@ -53,34 +59,39 @@ def _label(run: Run) -> str:
     return " ".join([run.plan["task"], run.plan["method"], *asked, f"seed {run.plan['seed']}"])
 
 
-def _spent(runs: Sequence[Run], needed: Sequence[Run], heading: str) -> Html:
+def _spent(runs: Sequence[Run], needed: Sequence[Run]) -> Html:
     columns = [Column(name.capitalize()) for name in GROUP]
     columns += [Column(name, number=True, show=_WHOLE) for name in ("Runs", "Done", "Steps", "Queries", "Labels")]
     columns += [Column("Time", number=True, show=clock), Column("Steps/s", number=True, show="{:.3g}".format)]
     everything = [*runs, *needed]
-    last = ["all", *[None] * (len(GROUP) - 1), *total(everything).values()]
+    last = ["all", *[""] * (len(GROUP) - 1), *total(everything).values()]
     rows = spending(everything).itertuples(index=False, name=None)
     told = element(
         "p", "Training time as the runs recorded it, on the machines below, while others ran beside them or not."
     )
-    return joined([told, of_rows(columns, rows, f"What was spent: {heading}", last)])
+    return joined([told, of_rows(columns, rows, "What was spent", last)])
 
 
-def _inventory(runs: Sequence[Run], needed: Sequence[Run], heading: str) -> Html:
+def _inventory(runs: Sequence[Run], needed: Sequence[Run]) -> Html:
     names = ["Run", *(name.capitalize() for name in GROUP)]
     columns = [*map(Column, names), Column("Seed", number=True, show=_WHOLE), Column("State")]
     counts = ("Step", "Of", "Evaluations", "Success", "Return", "Labels")
     shows = {"Success": "{:.0%}".format, "Return": "{:,.1f}".format}
     columns += [Column(name, number=True, show=shows.get(name, _WHOLE)) for name in counts]
     columns += [Column("Time", number=True, show=clock), Column("Attempts", number=True, show=_WHOLE)]
-    columns += [Column("Started")]
+    columns += [Column("Started", show=_minute)]
     pieces = []
     for chosen, caption in ((runs, "Planned runs"), (needed, "Runs that these need")):
         facts = table(chosen).to_dict("records")
         rows = [_inventory_row(run, fact) for run, fact in zip(chosen, facts, strict=True)]
         if rows:
-            pieces.append(of_rows(columns, rows, f"{caption}, with their last evaluation: {heading}"))
+            pieces.append(of_rows(columns, rows, f"{caption}, with their last evaluation"))
     return joined(pieces)
+
+
+def _minute(started: str) -> str:
+    """An ISO 8601 time to the minute, in UTC as it was recorded."""
+    return started[:16].replace("T", " ")
 
 
 def _inventory_row(run: Run, fact: dict[object, object]) -> list[object]:
@@ -89,26 +100,36 @@ def _inventory_row(run: Run, fact: dict[object, object]) -> list[object]:
     return [*before, *scores, *(fact[name] for name in ("labels", "wall_s", "attempt", "started"))]
 
 
-def _settings(runs: Sequence[Run], heading: str) -> Html:
+def _settings(runs: Sequence[Run]) -> Html:
+    """What differs, a column for each group of runs where they are few, and what all have in common."""
     common, differing = common_settings(runs), differing_settings(runs)
     pieces = []
     if len(differing.columns) > len(GROUP):
-        columns = [Column(name.capitalize() if name in GROUP else name) for name in differing.columns]
-        rows = differing.itertuples(index=False, name=None)
-        pieces.append(of_rows(columns, rows, f"Settings that differ: {heading}"))
+        turned = len(differing) <= _FEW
+        shown = _turned(differing) if turned else differing
+        columns = [Column(name.capitalize() if name in GROUP else str(name)) for name in shown.columns]
+        rows = shown.itertuples(index=False, name=None)
+        pieces.append(of_rows(columns, rows, "Settings that differ, values as JSON"))
     if len(common):
         rows = common.itertuples(index=False, name=None)
-        caption = f"Settings of all runs: {heading}"
-        pieces.append(of_rows([Column("Setting"), Column("Value")], rows, caption))
+        pieces.append(of_rows([Column("Setting"), Column("Value")], rows, "Settings of all runs, values as JSON"))
     return joined(pieces)
 
 
-def _makings(runs: Sequence[Run], heading: str) -> Html:
+def _turned(differing: pd.DataFrame) -> pd.DataFrame:
+    """Settings as rows, and a column for each group, called by what tells it from the others."""
+    labels = differing[[name for name in GROUP if differing[name].nunique() > 1]]
+    turned = differing.drop(columns=list(GROUP)).T
+    turned.columns = [" ".join(label) for label in labels.itertuples(index=False, name=None)]
+    return turned.rename_axis("Setting").reset_index()
+
+
+def _makings(runs: Sequence[Run]) -> Html:
     facts = makings(runs)
     if len(facts.columns) == 1:
         return Html()
     columns = [Column("Fact"), *map(Column, facts.columns[1:])]
-    return of_rows(columns, facts.itertuples(index=False, name=None), f"What runs were started with: {heading}")
+    return of_rows(columns, facts.itertuples(index=False, name=None), "What runs were started with")
 
 
 def _commands(runs: Sequence[Run]) -> Html:

@@ -54,3 +54,8 @@ for (const button of document.querySelectorAll(".zoom")) {
     dialog.showModal();
   });
 }
+
+/* Contents: folded where they would fill the screen, and open on paper. */
+const contents = document.querySelector("nav details");
+if (window.matchMedia("(max-width: 40rem)").matches) contents.open = false;
+window.addEventListener("beforeprint", () => { contents.open = true; });

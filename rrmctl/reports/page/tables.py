@@ -10,6 +10,10 @@ from rrmctl.reports.page.html import Html, element, joined
 
 #: More rows of one table would make the page slow.
 MOST_ROWS = 2_000
+#: Columns that fit onto a sheet of paper held upright; more are printed across.
+_PORTRAIT = 10
+#: Letters beyond which a cell may be broken into lines.
+_LONG = 40
 
 
 class Column(NamedTuple):
@@ -54,7 +58,8 @@ def _shown(value: Any, column: Column) -> Html:
 
 def _cell(text: str, column: Column, *, best: bool = False, raw: float | None = None) -> Html:
     content = element("strong", text) if best else text
-    return element("td", content, class_=_kind(column), data_value=raw)
+    kind = "long" if len(text) > _LONG else _kind(column)
+    return element("td", content, class_=kind, data_value=raw)
 
 
 def _table(columns: Sequence[Column], rows: list[list[Html]], caption: str, foot: Sequence[Html] = ()) -> Html:
@@ -71,7 +76,8 @@ def _table(columns: Sequence[Column], rows: list[list[Html]], caption: str, foot
         element("tfoot", _row(foot)) if foot else None,
     )
     # Focus lets a keyboard scroll what is wider than the window.
-    return element("div", table, class_="scroll", role="region", aria_label=caption, tabindex=0)
+    wide = " wide" if len(columns) > _PORTRAIT else ""
+    return element("div", table, class_=f"scroll{wide}", role="region", aria_label=caption, tabindex=0)
 
 
 def _kind(column: Column) -> str | None:
