@@ -75,7 +75,7 @@ def _spent(runs: Sequence[Run], needed: Sequence[Run]) -> Html:
 def _inventory(runs: Sequence[Run], needed: Sequence[Run]) -> Html:
     names = ["Run", *(name.capitalize() for name in GROUP)]
     columns = [*map(Column, names), Column("Seed", number=True, show=_WHOLE), Column("State")]
-    counts = ("Step", "Of", "Evaluations", "Success", "Return", "Labels")
+    counts = ("Step", "Of", "Evaluated", "Success", "Return", "Labels")
     shows = {"Success": "{:.0%}".format, "Return": "{:,.1f}".format}
     columns += [Column(name, number=True, show=shows.get(name, _WHOLE)) for name in counts]
     columns += [Column("Time", number=True, show=clock), Column("Attempts", number=True, show=_WHOLE)]

@@ -11,7 +11,7 @@ from rrmctl.reports.page.html import Html, element, joined
 #: More rows of one table would make the page slow.
 MOST_ROWS = 2_000
 #: Columns that fit onto a sheet of paper held upright; more are printed across.
-_PORTRAIT = 10
+_PORTRAIT = 11
 #: Letters beyond which a cell may be broken into lines.
 _LONG = 40
 
@@ -70,7 +70,7 @@ def _table(columns: Sequence[Column], rows: list[list[Html]], caption: str, foot
         caption += f": the first {MOST_ROWS:,} of {len(rows):,} rows; `rrmctl export` writes all"
     table = element(
         "table",
-        element("caption", caption),
+        element("caption", element("span", caption)),
         element("thead", element("tr", *heads)),
         element("tbody", joined(map(_row, rows[:MOST_ROWS]))),
         element("tfoot", _row(foot)) if foot else None,
