@@ -5,21 +5,18 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 from rrmctl.errors import UserError
 from rrmctl.reports.figures import figures
 from rrmctl.reports.kinds import kinds
 from rrmctl.reports.page import listings, tables
+from rrmctl.reports.page.gather import SEVERAL, Place, Tables
 from rrmctl.reports.page.html import Html, element, identifier, joined
 from rrmctl.reports.page.pictures import picture
 from rrmctl.reports.series import Section
 from rrmctl.reports.settings import Settings
 from rrmctl.reports.words import title
 from rrmctl.store.inventory import Run
-
-if TYPE_CHECKING:
-    from rrmctl.reports.document import Report
 
 
 @dataclass(frozen=True)
@@ -63,12 +60,12 @@ class Variant:
         return identifier(self.experiment, self.name)
 
 
-def chapter(variant: Variant, settings: Settings) -> Part:
+def chapter(variant: Variant, gathered: Tables, settings: Settings) -> Part:
     """Everything about one variant."""
     name, section = variant.id, variant.section
     heading = title(section) if isinstance(section, Section) else f"{variant.experiment} · {variant.name}"
     shown = (
-        (_figures(section, name, settings), _reports(section, name, settings))
+        (_figures(section, name, settings), tables_at((variant.experiment, variant.name), name, gathered))
         if isinstance(section, Section) and section.contained
         else ()
     )
@@ -107,31 +104,24 @@ def _figures(section: Section, name: str, settings: Settings) -> tuple[str, str,
     return f"{name}-figures", "Figures", joined(made)
 
 
-def _reports(section: Section, name: str, settings: Settings) -> tuple[str, str, Html]:
-    """The tables that the data supports, the notes that all share once, and why the others are not there."""
-    made: dict[str, list[Report]] = {}
-    refused = {}
-    for kind, entry in kinds().items():
-        try:
-            made[kind] = entry.load().make([section], settings)
-        except UserError as error:
-            refused[kind] = str(error)
-    counted = Counter(note for reports in made.values() for report in reports for note in dict.fromkeys(report.notes))
+def tables_at(place: Place, name: str, gathered: Tables) -> tuple[str, str, Html]:
+    """The tables of a place, the notes that several share once, and why others are not there."""
+    made, refused = gathered.made[place], gathered.refused[place]
+    counted = Counter(note for _, report in made for note in dict.fromkeys(report.notes))
     shared = [note for note, count in counted.items() if count > 1]
-    pieces = [
-        element(
-            "div",
-            tables.of_grid(report.grid, f"{kinds()[kind].help.splitlines()[0]} (rrmctl report {kind})"),
-            _notes([note for note in report.notes if note not in shared]),
-            id=f"{name}-{identifier(kind)}" + (f"-{at}" if at else ""),
-        )
-        for kind, reports in made.items()
-        for at, report in enumerate(reports)
-    ]
+    seen: Counter[str] = Counter()
+    pieces = []
+    for kind, report in made:
+        seen[kind] += 1
+        title_ = f"{report.title}. " if place == SEVERAL else ""
+        caption = f"{title_}{kinds()[kind].help.splitlines()[0]} (rrmctl report {kind})"
+        notes = _notes([note for note in report.notes if note not in shared])
+        id_ = f"{name}-{identifier(kind)}" + (f"-{seen[kind]}" if seen[kind] > 1 else "")
+        pieces.append(element("div", tables.of_grid(report.grid, caption), notes, id=id_))
     if shared:
         pieces += [element("h4", "On all of these tables"), _notes(shared)]
     if refused:
-        pieces += [element("h4", "Tables that these runs do not support")]
+        pieces += [element("h4", "Tables with nothing to show")]
         pieces += [_notes([f"{kind}: {why}" for kind, why in refused.items()])]
     return f"{name}-tables", "Tables", joined(pieces)
 

@@ -15,7 +15,8 @@ from pathlib import Path
 from rrmctl.errors import UserError
 from rrmctl.planning.manifest import nearest
 from rrmctl.reports.accounts import total
-from rrmctl.reports.page.chapter import Part, Variant, chapter
+from rrmctl.reports.page.chapter import Part, Variant, chapter, tables_at
+from rrmctl.reports.page.gather import SEVERAL, gather
 from rrmctl.reports.page.html import Html, element, joined
 from rrmctl.reports.page.listings import TROUBLE, clock
 from rrmctl.reports.page.tables import Column, of_rows
@@ -51,8 +52,14 @@ def build(
     variants = [each for each in found if profile in (None, each.runs[0].plan["profile"])]
     if not variants:
         raise UserError(f'no runs of profile "{profile}" of {", ".join(names)}', "leave --profile out to see all")
+    sections = [each.section for each in variants if isinstance(each.section, Section) and each.section.contained]
+    gathered = gather(sections, settings)
     told = [_overview(variants), _made(results, experiments, profile, written)]
-    parts = [Part("overview", "Overview", joined(told)), *(chapter(each, settings) for each in variants)]
+    common = Part(*tables_at(SEVERAL, "common", gathered))
+    parts = [
+        Part("overview", "Overview", joined(told), (common,) if common.body else ()),
+        *(chapter(each, gathered, settings) for each in variants),
+    ]
     return _whole(f"Report: {', '.join(names)}", parts)
 
 

@@ -6,6 +6,7 @@ import shutil
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 from matplotlib.figure import Figure
 from typer.testing import CliRunner
@@ -13,9 +14,11 @@ from typer.testing import CliRunner
 from rrmctl.cli.app import app
 from rrmctl.errors import UserError
 from rrmctl.reports import accounts
+from rrmctl.reports.document import Grid, Report
 from rrmctl.reports.figures import figures
 from rrmctl.reports.kinds import kinds
 from rrmctl.reports.page.document import build
+from rrmctl.reports.page.gather import SEVERAL, gather
 from rrmctl.reports.page.html import Html, element, identifier
 from rrmctl.reports.page.listings import clock
 from rrmctl.reports.page.pictures import MOST_BYTES, picture
@@ -232,3 +235,49 @@ def test_a_page_of_reference_results_can_be_made_anywhere(tmp_path):
     before = sorted(path.stat().st_mtime_ns for path in (tmp_path / "reference").rglob("*"))
     build(tmp_path / "reference", ["toy-car"], settings=QUICK)
     assert before == sorted(path.stat().st_mtime_ns for path in (tmp_path / "reference").rglob("*"))
+
+
+class Kind:
+    """A stand-in for a kind of table: `make` with a name."""
+
+    help = "A table."
+
+    def __init__(self, make):
+        self.make = make
+
+    def load(self):
+        return self
+
+
+def report(section, name="", **more):
+    facts = {"experiment": name or section.experiment, "variant": section.variant} | more
+    return Report(section.experiment, pd.DataFrame(), Grid(("A",), (("1",),)), ("note",), facts)
+
+
+def refuse(sections, settings):
+    if any(section.experiment == "toy-car" for section in sections):
+        raise UserError("no toys")
+    return [report(section) for section in sections]
+
+
+def nothing(sections, settings):
+    raise UserError("nothing at all")
+
+
+def test_tables_stand_where_they_belong(tmp_path, monkeypatch):
+    """A chapter's own stand in it, one of several experiments before all, a taken-over one once, a refused one not."""
+    Sweep().write(tmp_path)
+    Sweep(experiment="toy-car", tasks=("toy-car",), variant="t").write(tmp_path)
+    known = {
+        "all": Kind(lambda sections, settings: [report(each, table="own") for each in sections]),
+        "own": Kind(lambda sections, settings: [report(each) for each in sections]),
+        "both": Kind(lambda sections, settings: [report(sections[0], "claims")]),
+        "choosy": Kind(refuse),
+        "none": Kind(nothing),
+    }
+    monkeypatch.setattr("rrmctl.reports.page.gather.kinds", lambda: known)
+    found = gather(read_sections(tmp_path), QUICK)
+    kinds_at = {place: [kind for kind, _ in made] for place, made in found.made.items()}
+    first, second = ("main-results", "laptop"), ("toy-car", "t")
+    assert kinds_at == {first: ["own", "choosy"], second: ["own"], SEVERAL: ["both"]}
+    assert found.refused == {second: {"choosy": "no toys"}, SEVERAL: {"none": "nothing at all"}}

@@ -184,3 +184,16 @@ def test_it_is_read_on_a_telephone(page, scheme):
     light, dark = (sum(map(int, text[4:-1].split(", "))) for text in (ink, paper))
     assert (light > dark + 400) == (scheme == "dark")
     assert abs(light - dark) > 400
+
+
+def test_a_script_that_slipped_in_does_not_run(running, path, tmp_path):
+    """Even one that stands in the file is refused by the page's policy, which admits its own script alone."""
+    text = path.read_text().replace("</main>", "<p id=slipped>in</p><script>window.hit = 1</script></main>")
+    (tmp_path / "page.html").write_text(text)
+    opened = running.new_page()
+    opened.goto((tmp_path / "page.html").as_uri())
+    assert opened.locator("#slipped").inner_text() == "in"
+    assert opened.evaluate("window.hit") is None
+    opened.locator(f"{RUNS} thead button").first.click()
+    assert opened.locator(f"{RUNS} th[aria-sort]").count() == 1
+    opened.close()
