@@ -19,7 +19,7 @@ test: install browser
 test-slow: install browser
 	$(PYTEST) -n auto -m slow
 
-# A headless Chromium from npm for the tests of the HTML report; without one they are skipped, or fail where CI is set.
+# A headless Chromium from npm for the tests of the HTML report; without one they are skipped.
 browser: install
 	@$(BIN)/python -m tests.browser
 

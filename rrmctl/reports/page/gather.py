@@ -35,26 +35,29 @@ def gather(sections: Sequence[Section], settings: Settings) -> Tables:
     A table that a kind took over from another stands under the other. Why a kind has none at all stands at `SEVERAL`.
     """
     places, found = {(section.experiment, section.variant) for section in sections}, Tables()
-    for kind, entry in kinds().items():
-        reports, reasons = _made(entry.load(), sections, settings)
+    for kind, entry in kinds().items() if sections else ():
+        module = entry.load()
+        try:
+            reports = module.make(sections, settings)
+        except UserError as error:
+            reports, reasons = _one_by_one(module, sections, settings)
+            for place, reason in reasons.items() if reports else ((SEVERAL, str(error)),):
+                found.refused[place][kind] = reason
         for report in reports:
             place = (report.facts["experiment"], report.facts["variant"])
             if report.facts.get("table", kind) == kind:
                 found.made[place if place in places else SEVERAL].append((kind, report))
-        for place, reason in reasons.items():
-            found.refused[place if reports else SEVERAL].setdefault(kind, reason)
     return found
 
 
-def _made(module: ModuleType, sections: Sequence[Section], settings: Settings) -> tuple[list[Report], dict[Place, str]]:
-    """A kind's tables, and which section stands in the way of its own: no other is kept from being shown."""
-    try:
-        return (module.make(sections, settings) if sections else []), {}
-    except UserError:
-        reports, reasons = [], {}
-        for section in sections:
-            try:
-                reports += module.make([section], settings)
-            except UserError as error:
-                reasons[section.experiment, section.variant] = str(error)
-        return reports, reasons
+def _one_by_one(
+    module: ModuleType, sections: Sequence[Section], settings: Settings
+) -> tuple[list[Report], dict[Place, str]]:
+    """A kind's tables where a section stands in the way of its own, and why: no other is kept from being shown."""
+    reports, reasons = [], {}
+    for section in sections:
+        try:
+            reports += module.make([section], settings)
+        except UserError as error:
+            reasons[section.experiment, section.variant] = str(error)
+    return reports, reasons
