@@ -26,6 +26,8 @@ FOLDER = Path(sys.prefix) / "browser"
 CHROMIUM = FOLDER / "chromium"
 #: Names another browser of Chromium's kind.
 VARIABLE = "RRMCTL_BROWSER"
+#: Other tests may keep the machine busy.
+_PATIENCE_MS = 120_000
 _NAMES = ("chromium", "chromium-browser", "google-chrome", "chrome")
 _FONTS = (
     '<?xml version="1.0"?><!DOCTYPE fontconfig SYSTEM "fonts.dtd"><fontconfig><dir>{folder}/fonts</dir>'
@@ -74,7 +76,7 @@ def browser():
     own = {"LD_LIBRARY_PATH": str(FOLDER / "lib"), "FONTCONFIG_FILE": str(FOLDER / "fonts.conf")}
     environment = os.environ | (own if program == CHROMIUM else {})
     with sync_playwright() as driver:
-        running = driver.chromium.launch(executable_path=program, env=environment)
+        running = driver.chromium.launch(executable_path=program, env=environment, timeout=_PATIENCE_MS)
         yield running
         running.close()
 

@@ -49,6 +49,7 @@ def running():
 def page(running, path):
     """The page, opened; afterwards nothing may have gone wrong, been asked for, or run that is not its own."""
     opened = running.new_page(viewport={"width": 1280, "height": 900})
+    opened.set_default_timeout(120_000)
     wrong, asked = [], []
     opened.on("console", lambda message: wrong.append(message.text))
     opened.on("pageerror", lambda error: wrong.append(str(error)))
