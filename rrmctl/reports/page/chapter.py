@@ -119,7 +119,7 @@ def tables_at(place: Place, name: str, gathered: Tables) -> tuple[str, str, Html
         id_ = f"{name}-{identifier(kind)}" + (f"-{seen[kind]}" if seen[kind] > 1 else "")
         pieces.append(element("div", tables.of_grid(report.grid, caption), notes, id=id_))
     if shared:
-        pieces += [element("h4", "On all of these tables"), _notes(shared)]
+        pieces += [element("h4", "On several of these tables"), _notes(shared)]
     if refused:
         pieces += [element("h4", "Tables with nothing to show")]
         pieces += [_notes([f"{kind}: {why}" for kind, why in refused.items()])]

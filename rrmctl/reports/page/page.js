@@ -13,12 +13,14 @@ function value(row, column, isNumber) {
 function sort(heading) {
   const table = heading.closest("table");
   const column = heading.cellIndex;
-  const isNumber = heading.classList.contains("number");
   const descending = heading.getAttribute("aria-sort") === "ascending";
   for (const other of heading.parentElement.cells) other.removeAttribute("aria-sort");
   heading.setAttribute("aria-sort", descending ? "descending" : "ascending");
   const body = table.tBodies[0];
-  const keyed = [...body.rows].map((row) => [value(row, column, isNumber), row]);
+  const rows = [...body.rows];
+  /* A column may be set like numbers and hold words alone. */
+  const isNumber = heading.classList.contains("number") && rows.some((row) => value(row, column, true) !== null);
+  const keyed = rows.map((row) => [value(row, column, isNumber), row]);
   keyed.sort(([a], [b]) => {
     if (a === null || b === null) return (a === null) - (b === null);
     const order = isNumber ? a - b : a.localeCompare(b, "en", { numeric: true });

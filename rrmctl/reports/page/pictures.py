@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import base64
-import io
 from typing import TYPE_CHECKING
 
-from rrmctl.reports.canvas import LOOK
+from rrmctl.reports.canvas import encode
 from rrmctl.reports.page.html import Html, element
 
 if TYPE_CHECKING:
@@ -32,23 +31,15 @@ def picture(figure: Figure, name: str, caption: str, alternative: str) -> Html:
 
 
 def _data(figure: Figure) -> str:
-    kind, data = "svg+xml", _saved(figure, "svg")
+    kind, data = "svg+xml", encode(figure, "svg")
     if len(data) > MOST_BYTES:
-        kind = "png"
-        for dpi in _DPI:
-            data = _saved(figure, "png", dpi)
-            if len(data) <= MOST_BYTES:
-                break
+        kind, data = "png", _small_png(figure)
     return f"data:image/{kind};base64,{base64.b64encode(data).decode()}"
 
 
-def _saved(figure: Figure, form: str, dpi: int = 100) -> bytes:
-    """The figure as a file's content. Letters are outlines: a picture in a page can bring no font along."""
-    import matplotlib as mpl
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-
-    FigureCanvasAgg(figure)
-    buffer = io.BytesIO()
-    with mpl.rc_context(LOOK | {"svg.fonttype": "path", "svg.hashsalt": "rrmctl"}):
-        figure.savefig(buffer, format=form, dpi=dpi, metadata={"Date": None} if form == "svg" else None)
-    return buffer.getvalue()
+def _small_png(figure: Figure) -> bytes:
+    for dpi in _DPI[:-1]:
+        data = encode(figure, "png", dpi)
+        if len(data) <= MOST_BYTES:
+            return data
+    return encode(figure, "png", _DPI[-1])

@@ -132,6 +132,17 @@ def test_numbers_with_signs_sort_as_numbers(page):
     assert "n < 3" in intervals
 
 
+def test_words_among_the_numbers_sort_as_words(page):
+    """A column that is set like numbers and holds words alone is sorted by them."""
+    cells = f"{RUNS} tbody tr > :nth-child(6)"
+    change = "cells => cells.forEach((cell, at) => { cell.textContent = 'cab'[at % 3]; delete cell.dataset.value })"
+    page.eval_on_selector_all(cells, change)
+    press(page, "Seed")
+    words = column(page, "Seed")
+    assert words == sorted(words)
+    assert set(words) == {"a", "b", "c"}
+
+
 def test_tables_sort_from_the_keyboard(page):
     """A heading is a button: Enter on it sorts."""
     page.locator(f"{RUNS} thead button", has_text="Seed").focus()
