@@ -120,9 +120,8 @@ def _turned(differing: pd.DataFrame) -> pd.DataFrame:
     """Settings as rows, and a column for each group, called by what tells it from the others."""
     labels = differing[[name for name in GROUP if differing[name].nunique() > 1]]
     turned = differing.drop(columns=list(GROUP)).T
-    turned.columns = [
-        " ".join(name for name in label if name != "-") for label in labels.itertuples(index=False, name=None)
-    ]
+    told = labels.itertuples(index=False, name=None)
+    turned.columns = [" ".join(name for name in label if name != "-") for label in told]
     return turned.rename_axis("Setting").reset_index()
 
 
