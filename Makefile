@@ -7,19 +7,22 @@ BIN := .venv/bin
 AS_ROOT := $(shell test "$$(id -u)" = 0 || echo sudo)
 PYTEST := $(BIN)/python -m pytest
 
-.PHONY: quickstart test test-slow check install bench soak tex clean
+.PHONY: quickstart test test-slow check install browser tex bench soak clean
 
 quickstart: install
 	$(BIN)/rrmctl run quickstart
 	$(BIN)/rrmctl report iqm quickstart
 	$(BIN)/rrmctl plot quickstart
 
-test: install
+test: install browser
 	$(PYTEST) -n auto -m "not slow"
 
-test-slow: install
+test-slow: install browser
 	$(PYTEST) -n auto -m slow
 
+# A headless Chromium from npm for the tests of the HTML report; without one they are skipped.
+browser: install
+	@$(BIN)/python -m tests.browser
 
 check: install
 	$(BIN)/ruff format --check .

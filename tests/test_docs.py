@@ -1,5 +1,6 @@
 """What the documents show is what the program does."""
 
+import inspect
 import os
 import re
 import subprocess
@@ -10,6 +11,7 @@ import pytest
 import typer
 
 from rrmctl.cli.app import app
+from rrmctl.export.formats import formats
 from rrmctl.planning.manifest import load
 from rrmctl.reports import tables
 from rrmctl.reports.figures import figures
@@ -121,3 +123,31 @@ def test_the_page_of_reports_lists_the_tables():
     for name, entry in kinds().items():
         columns = tables.COLUMNS if name == "iqm" else getattr(entry.load(), "COLUMNS", ("table",))
         assert set(columns) - everywhere == set(rows[name].split(", ")) - everywhere, name
+
+
+def test_the_notebook_example_runs():
+    """The page's example runs where the project's own results are, and gives DataFrames and a matplotlib figure."""
+    (code,) = re.findall(r"```python\n(.*?)```", REPORTS.split("\n## Tables, runs and cost")[1], re.DOTALL)
+    check = (
+        "import pandas as pd; from matplotlib.figure import Figure;"
+        "assert isinstance(figure, Figure) and len(figure.findobj(match=lambda a: a.__class__.__name__ == 'Line2D'));"
+        "assert all(isinstance(each, pd.DataFrame) and len(each) for each in (final, curves, everything, cost));"
+        "assert set(cost.method) == set(final.method) == set(rows.method)"
+    )
+    command = [sys.executable, "-W", "error", "-c", f"{code}\n{check}"]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+
+
+def test_every_export_format_is_documented():
+    """The table of formats names every module of the folder, and nothing else."""
+    told = re.findall(r"^\| `([a-z]+)` \|", REPORTS.split("| format | is |")[1], re.MULTILINE)
+    assert told == list(formats())
+
+
+def test_every_figure_takes_a_dataframe():
+    """Each module of a figure offers a function from the store's rows to a matplotlib figure."""
+    for name, entry in figures().items():
+        offered = [each for key, each in vars(entry.load()).items() if not key.startswith("_") and callable(each)]
+        first = [next(iter(inspect.signature(each).parameters), None) for each in offered if inspect.isfunction(each)]
+        assert "rows" in first, name

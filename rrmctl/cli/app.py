@@ -10,7 +10,7 @@ from typer.core import TyperGroup
 
 import rrm
 from rrm.errors import RrmError
-from rrmctl.cli import demos, inspect, prior, report, run
+from rrmctl.cli import demos, export, inspect, page, prior, report, run
 from rrmctl.errors import Exit, UserError
 
 #: Conditions of the machine rather than bugs of the program.
@@ -83,8 +83,13 @@ def rrmctl(
     """
 
 
-for _command in (inspect.list_, inspect.plan, run.run, run.status, run.resume, run.show, report.plot, inspect.doctor):
+_COMMANDS = (
+    *(inspect.list_, inspect.plan, run.run, run.status, run.resume, run.show),
+    *(report.plot, export.export, inspect.doctor),
+)
+for _command in _COMMANDS:
     app.command(_command.__name__.rstrip("_"))(_command)  # list_ is the command `list`
+report.report_app.command("html")(page.html)
 app.add_typer(report.report_app, name="report")
 app.add_typer(prior.prior_app, name="prior")
 app.add_typer(demos.demos_app, name="demos")

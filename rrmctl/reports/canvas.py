@@ -40,7 +40,7 @@ def look(width: Width) -> Any:
     return _LOOK | sizes
 
 
-def encode(figure: Figure, form: str) -> bytes:
+def encode(figure: Figure, form: str, dpi: int = 200) -> bytes:
     """The figure as a file's content; `form` is one of `FORMS`. Equal figures give equal bytes."""
     import matplotlib as mpl
     from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -49,5 +49,5 @@ def encode(figure: Figure, form: str) -> bytes:
     buffer = io.BytesIO()
     undated = {"pdf": {"CreationDate": None}, "svg": {"Date": None}}.get(form)
     with mpl.rc_context(_LOOK):
-        figure.savefig(buffer, format=form, dpi=200, metadata=undated)
+        figure.savefig(buffer, format=form, dpi=dpi, metadata=undated)
     return buffer.getvalue()

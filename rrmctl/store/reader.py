@@ -177,8 +177,11 @@ def load(results: str | Path = "results", experiment: str | None = None) -> pd.D
     return labels.merge(curves, on="run", how="inner", sort=False)
 
 
-def planned(results: str | Path = "results", experiment: str | None = None) -> pd.DataFrame:
+def planned(results: str | Path = "results", experiment: str | None = None, *, needed: bool = False) -> pd.DataFrame:
     """Every job a sweep asked for, with where it stands, as a DataFrame.
+
+    Args:
+        needed: instead of the jobs those runs that are there because jobs need them: experts, demonstrations.
 
     Returns:
         The columns of `PLANNED`: `overrides` is JSON, `state` one of `rrmctl.store.records.State`, `step` the last
@@ -192,7 +195,11 @@ def planned(results: str | Path = "results", experiment: str | None = None) -> p
     layout = open_results(results)
     sweeps = find_sweeps(layout, experiment) if experiment is not None else read_sweeps(layout)
     states = statuses(layout, (job for sweep in sweeps for job in sweep.everything))
-    rows = [_planned_row(sweep, job, states[job.id]) for sweep in sweeps for job in sweep.jobs]
+    rows = [
+        _planned_row(sweep, job, states[job.id])
+        for sweep in sweeps
+        for job in (sweep.merely_needed if needed else sweep.jobs)
+    ]
     return pd.DataFrame(rows, columns=list(PLANNED))
 
 

@@ -219,8 +219,13 @@ class SweepRecord:
     @property
     def everything(self) -> tuple[JobRecord, ...]:
         """Every run, those that are only needed first; one that several rows share is there for each of them."""
+        return (*self.merely_needed, *self.jobs)
+
+    @property
+    def merely_needed(self) -> tuple[JobRecord, ...]:
+        """Runs that jobs need and that are no jobs themselves."""
         asked = {job.id for job in self.jobs}
-        return (*(job for job in self.needed if job.id not in asked), *self.jobs)
+        return tuple(job for job in self.needed if job.id not in asked)
 
     def union(self, other: SweepRecord) -> SweepRecord:
         """With the jobs of another record of the same variant, in order of first appearance."""

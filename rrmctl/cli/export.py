@@ -1,0 +1,45 @@
+"""`rrmctl export`: the store's content in the forms of other programs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from rrmctl.cli.options import DEFAULT_RESULTS, ResultsOption
+from rrmctl.errors import UserError
+from rrmctl.export.formats import formats
+
+
+def _told() -> str:
+    """Every format with the first line of its help."""
+    told = " ".join(f"{name}: {entry.help.splitlines()[0]}" for name, entry in formats().items())
+    return told.replace("[", r"\[")  # brackets are markup there
+
+
+def export(
+    name: Annotated[str, typer.Argument(metavar="NAME", help="An experiment of the store.")],
+    to: Annotated[str, typer.Option("--to", metavar="FORMAT", help=_told())],
+    output: Annotated[
+        Path, typer.Option("-o", "--output", metavar="DIR", help="Folder for the files; made where it is missing.")
+    ],
+    results: ResultsOption = DEFAULT_RESULTS,
+    profile: Annotated[str | None, typer.Option("--profile", help="Only runs at this scale. Default: all.")] = None,
+) -> None:
+    """Write every evaluation of an experiment, with all labels, for other programs.
+
+    Runs under way and failed ones are there as far as they came, marked with
+    their state. Exporting again replaces what was exported: nothing doubles.
+    """
+    from rrmctl.export.bundle import read
+    from rrmctl.planning.manifest import nearest
+
+    known = formats()
+    if to not in known:
+        raise UserError(f'there is no format "{to}"{nearest(to, known)}', f"there are: {', '.join(known)}")
+    bundle = read(results, Path(name).stem if name.endswith(".toml") else name, profile)
+    if not bundle.begun:
+        typer.echo(f"note: none of the {len(bundle.runs)} planned runs has an evaluation yet", err=True)
+    written = known[to].load().write(bundle, output)
+    typer.echo(f"{output}: {len(bundle.begun)} of {len(bundle.runs)} planned runs, {len(written)} files")

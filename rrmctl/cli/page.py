@@ -1,0 +1,46 @@
+"""`rrmctl report html`: everything the store tells, as one page."""
+
+from __future__ import annotations
+
+import datetime
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from rrmctl.cli.options import DEFAULT_RESULTS, ResultsOption
+from rrmctl.cli.report import Iqm, IqmOption, ProfileOption, ReplicatesOption
+from rrmctl.errors import UserError
+
+
+def html(
+    names: Annotated[
+        list[str] | None,
+        typer.Argument(metavar="[NAME]...", help="Experiments of the store. Default: all."),
+    ] = None,
+    output: Annotated[
+        Path, typer.Option("-o", "--output", metavar="FILE", help="The page; its folder is made where it is missing.")
+    ] = Path("report.html"),
+    results: ResultsOption = DEFAULT_RESULTS,
+    kind: IqmOption = Iqm.RLIABLE,
+    profile: ProfileOption = None,
+    replicates: ReplicatesOption = 10_000,
+) -> None:
+    """One page with everything: tables, figures, runs, failures, cost, settings, versions, commands.
+
+    The file needs no other and no network. Figures enlarge, tables sort, and
+    it prints. Runs under way and failed ones are on it, as such.
+    """
+    from rrmctl.reports.page.document import build
+    from rrmctl.reports.settings import Settings
+    from rrmctl.store.atomic import StorageError, write_bytes
+
+    chosen = [Path(name).stem if name.endswith(".toml") else name for name in names or ()]
+    now = datetime.datetime.now(datetime.UTC).strftime("%Y-%m-%d %H:%M UTC")
+    settings = Settings(kind=kind.value, replicates=replicates)
+    data = build(results, chosen, profile=profile, settings=settings, written=now).encode()
+    try:
+        write_bytes(output, data)
+    except StorageError as error:
+        raise UserError(str(error), "name another place with -o") from error
+    typer.echo(f"{output}: {len(data) / 1e6:.1f} MB")

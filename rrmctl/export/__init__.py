@@ -1,0 +1,1 @@
+"""The store's content in the forms of other programs. Nothing heavy is imported before it is needed."""

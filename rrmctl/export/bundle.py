@@ -1,0 +1,102 @@
+"""What is exported, and what its columns mean."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
+
+from rrmctl.errors import UserError
+from rrmctl.planning.manifest import nearest
+from rrmctl.store.inventory import Run, inventory
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+
+@dataclass(frozen=True, eq=False)
+class Bundle:
+    """The runs of one experiment."""
+
+    experiment: str
+    runs: tuple[Run, ...]  #: all that were planned, also those without an evaluation
+
+    @property
+    def begun(self) -> tuple[Run, ...]:
+        """Those with at least one evaluation, finished or not."""
+        return tuple(run for run in self.runs if len(run.curve))
+
+    def evaluations(self) -> pd.DataFrame:
+        """One row for each run and evaluation, with every label: the columns of `rrmctl.store.load`."""
+        import pandas as pd
+
+        tables = [run.curve.assign(**{name: run.plan[name] for name in RUN_COLUMNS}) for run in self.begun]
+        frame = pd.concat(tables, ignore_index=True) if tables else pd.DataFrame()
+        return frame.reindex(columns=list(COLUMNS))
+
+
+def read(results: str | Path, experiment: str, profile: str | None = None) -> Bundle:
+    """The runs of an experiment, of one profile or of all.
+
+    Raises:
+        UserError: no such experiment or profile, or a file is damaged; the message names it.
+    """
+    runs = inventory(results, experiment)
+    present = sorted({str(run.plan["profile"]) for run in runs})
+    if profile is not None and profile not in present:
+        raise UserError(
+            f'no runs of profile "{profile}"{nearest(profile, present)}', f"there are runs of: {', '.join(present)}"
+        )
+    return Bundle(experiment, tuple(run for run in runs if profile in (None, run.plan["profile"])))
+
+
+class Field(NamedTuple):
+    """What a column holds, for a data dictionary."""
+
+    kind: str  #: string, integer or number
+    unit: str  #: empty where there is none
+    meaning: str
+
+
+#: Columns that say which run a row belongs to.
+RUN_COLUMNS = {
+    "experiment": Field("string", "", "name of the experiment"),
+    "variant": Field("string", "", "profile and overrides together; runs of different variants are never averaged"),
+    "profile": Field("string", "", "scale of the run: paper, laptop, quickstart or smoke"),
+    "task": Field("string", "", "the task"),
+    "method": Field("string", "", "the method"),
+    "teacher": Field("string", "", "who answers queries; - where nothing is asked"),
+    "feedback": Field(
+        "string", "", "queries of a session @ steps between sessions / queries in all; - where nothing is asked"
+    ),
+    "seed": Field("integer", "", "seed of the run"),
+    "run": Field("string", "", "identity of the run: a digest of everything that can change its numbers"),
+    "cell": Field("string", "", "identity of the run without its seed; runs of one cell may be averaged"),
+    "state": Field("string", "", "done, or why it is not: queued, running, interrupted, failed, blocked or unreadable"),
+}
+
+#: Columns that were measured.
+MEASURED_COLUMNS = {
+    "step": Field("integer", "environment steps", "steps taken when the policy was evaluated"),
+    "episodes": Field("integer", "episodes", "evaluation episodes behind this row"),
+    "true_return": Field("number", "reward", "mean undiscounted return of the true reward"),
+    "success": Field("number", "fraction", "share of episodes with success; missing for tasks without a criterion"),
+    "queries": Field("integer", "queries", "queries put to the teacher so far, skipped ones included"),
+    "labels": Field("integer", "labels", "labels kept so far"),
+    "label_accuracy": Field("number", "fraction", "agreement of the learned reward with the labels, last epoch"),
+    "true_accuracy": Field("number", "fraction", "its agreement with the true reward on fresh uniform pairs"),
+    "prior_mean": Field("number", "reward", "mean of the prior reward over the transitions since the last row"),
+    "residual_mean": Field("number", "reward", "mean of reward minus prior over those transitions"),
+    "reward_mean": Field("number", "reward", "mean of the reward the agent was given for those transitions"),
+    "reward_std": Field("number", "reward", "its standard deviation"),
+    "true_reward_mean": Field("number", "reward", "mean true reward of those transitions"),
+    "critic_loss": Field("number", "", "last loss of the critic; missing before the first update"),
+    "actor_loss": Field("number", "", "last loss of the actor"),
+    "entropy": Field("number", "nat", "last estimate of the policy's entropy"),
+    "alpha": Field("number", "", "temperature of SAC"),
+    "wall_s": Field("number", "s", "training time so far, interruptions left out"),
+    "steps_per_s": Field("number", "1/s", "environment steps per second since the last row, evaluation included"),
+}
+
+#: Every column of an evaluation, in order.
+COLUMNS = RUN_COLUMNS | MEASURED_COLUMNS

@@ -1,0 +1,110 @@
+"""TensorBoard event files, one folder a run; needs `pip install 'rrmctl[tensorboard]'`.
+
+Below the folder: VARIANT/TASK/METHOD[ TEACHER FEEDBACK]/seed-N-RUN. Every measured column is a scalar over environment
+steps, missing values left out; the configuration is there as text and as hyperparameters. An event's wall-clock time is
+the start of the run's first attempt plus its training time so far: pauses between attempts are left out (it counts from
+1970 where no start was recorded). Exporting again replaces the files.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import math
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from rrmctl.export.bundle import Bundle
+from rrmctl.export.extras import require
+from rrmctl.store.atomic import write_bytes
+from rrmctl.store.inventory import Run, settings
+from rrmctl.store.schema import MEASURED
+
+if TYPE_CHECKING:
+    from tensorboard.compat.proto.event_pb2 import Event
+
+#: Always the same, so that a second export takes the place of the first.
+_FILE = "events.out.tfevents.rrmctl"
+
+#: Part of the dashboard in which a column stands; those of no other part describe the reward the agent learned from.
+_PARTS = {
+    "eval": ("true_return", "success", "episodes"),
+    "feedback": ("queries", "labels"),
+    "agent": ("critic_loss", "actor_loss", "entropy", "alpha"),
+    "time": ("wall_s", "steps_per_s"),
+}
+
+
+def tag(column: str) -> str:
+    """The scalar's name in TensorBoard, such as `eval/success`."""
+    part = next((part for part, columns in _PARTS.items() if column in columns), "reward")
+    return f"{part}/{column}"
+
+
+def write(bundle: Bundle, folder: Path) -> list[Path]:
+    """Write an event file for every run with an evaluation.
+
+    Raises:
+        UserError: the package tensorboard is missing.
+        StorageError: the folder takes no write.
+    """
+    require("tensorboard")
+    from tensorboard.summary.writer.record_writer import RecordWriter
+
+    written = []
+    for run in bundle.begun:
+        path = folder / run_folder(run) / _FILE
+        buffer = io.BytesIO()
+        records = RecordWriter(buffer)
+        for event in _events(run):
+            records.write(event.SerializeToString())
+        write_bytes(path, buffer.getvalue())
+        written.append(path)
+    return written
+
+
+def run_folder(run: Run) -> Path:
+    """Where a run's events are, below the folder of the export."""
+    plan = run.plan
+    asked = [plan[name] for name in ("teacher", "feedback") if plan[name] not in ("", "-")]
+    method = " ".join([plan["method"], *asked])
+    return Path(*map(_as_name, (plan["variant"], plan["task"], method, f"seed-{plan['seed']}-{run.id[:8]}")))
+
+
+def _as_name(text: str) -> str:
+    return re.sub(r"[^\w.@+ -]", "-", text)
+
+
+def _events(run: Run) -> Iterator[Event]:
+    from tensorboard.compat.proto.event_pb2 import Event
+    from tensorboard.compat.proto.summary_pb2 import Summary
+    from tensorboard.plugins.hparams.summary_v2 import hparams_pb
+    from tensorboard.plugins.text.summary_v2 import text_pb
+
+    start = run.started or 0.0
+    yield Event(wall_time=start, file_version="brain.Event:2")
+    about = {"plan": run.plan, "config": run.config, "provenance": run.provenance}
+    for name, content in about.items():
+        yield Event(wall_time=start, step=0, summary=text_pb(name, _as_block(content)))
+    hyper = hparams_pb(_hyperparameters(run), run.id, start)
+    yield Event(wall_time=start, step=0, summary=hyper)
+    for row in run.curve.to_dict("records"):
+        values = [
+            Summary.Value(tag=tag(column), simple_value=row[column])
+            for column in MEASURED
+            if column != "step" and math.isfinite(row[column])
+        ]
+        yield Event(wall_time=start + row["wall_s"], step=row["step"], summary=Summary(value=values))
+
+
+def _as_block(content: Any) -> str:
+    """JSON as Markdown shows it word for word."""
+    return "\n".join(f"    {line}" for line in json.dumps(content, indent=2, default=str).splitlines())
+
+
+def _hyperparameters(run: Run) -> dict[str, str | bool | float]:
+    """Settings as the plugin takes them; what is not set is left out."""
+    plain = {name: value for name, value in settings(run.config or {}).items() if value is not None}
+    return {name: value if isinstance(value, str | bool | int | float) else str(value) for name, value in plain.items()}

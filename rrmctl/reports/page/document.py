@@ -1,0 +1,143 @@
+"""The page as a whole: contents, an overview, and a chapter for each variant of each experiment.
+
+Everything is inside of it, and its policy lets a browser load nothing else and run no script but its own.
+"""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import shlex
+from collections.abc import Iterator, Sequence
+from importlib import metadata, resources
+from pathlib import Path
+
+from rrmctl.errors import UserError
+from rrmctl.planning.manifest import nearest
+from rrmctl.reports.accounts import total
+from rrmctl.reports.page.chapter import Part, Variant, chapter, tables_at
+from rrmctl.reports.page.gather import SEVERAL, gather
+from rrmctl.reports.page.html import Html, element, joined
+from rrmctl.reports.page.listings import TROUBLE, clock
+from rrmctl.reports.page.tables import Column, of_rows
+from rrmctl.reports.select import read_sections
+from rrmctl.reports.series import Section
+from rrmctl.reports.settings import DEFAULTS, Settings
+from rrmctl.store.inventory import inventory
+from rrmctl.store.reader import open_results
+
+_WHOLE = "{:,.0f}".format
+
+
+def build(
+    results: str | Path = "results",
+    experiments: Sequence[str] = (),
+    *,
+    profile: str | None = None,
+    settings: Settings = DEFAULTS,
+    written: str = "",
+) -> str:
+    """The page as a document. Equal stores give equal pages.
+
+    Args:
+        experiments: only these, in this order; all of the store where none is named.
+        profile: only runs at this scale.
+        written: when, for people.
+
+    Raises:
+        UserError: the store holds no run of an experiment or profile that is named, or none at all; a file is damaged.
+    """
+    names = _named(results, experiments)
+    found = [each for name in names for each in _variants(results, name)]
+    variants = [each for each in found if profile in (None, each.runs[0].plan["profile"])]
+    if not variants:
+        raise UserError(f'no runs of profile "{profile}" of {", ".join(names)}', "leave --profile out to see all")
+    sections = [each.section for each in variants if isinstance(each.section, Section) and each.section.contained]
+    gathered = gather(sections, settings)
+    told = [_overview(variants), _made(results, experiments, profile, written)]
+    common = Part(*tables_at(SEVERAL, "common", gathered))
+    parts = [
+        Part("overview", "Overview", joined(told), (common,) if common.body else ()),
+        *(chapter(each, gathered, settings) for each in variants),
+    ]
+    return _whole(f"Report: {', '.join(names)}", parts)
+
+
+def _named(results: str | Path, experiments: Sequence[str]) -> list[str]:
+    layout = open_results(results)
+    known = layout.experiments()
+    if not known:
+        raise UserError(f"{layout.root} holds no experiment yet", "start one, e.g. `rrmctl run quickstart`")
+    for name in experiments:
+        if name not in known:
+            raise UserError(
+                f'{layout.root} holds no runs of "{name}"{nearest(name, known)}', f"it holds: {', '.join(known)}"
+            )
+    return list(dict.fromkeys(experiments)) or known
+
+
+def _variants(results: str | Path, experiment: str) -> Iterator[Variant]:
+    """The variants of an experiment, with what may be averaged of each or why nothing may."""
+    runs, needed = inventory(results, experiment), inventory(results, experiment, needed=True)
+    sections: dict[str, Section] = {}
+    refused: UserError | None = None
+    try:
+        sections = {section.variant: section for section in read_sections(results, experiment)}
+    except UserError as error:
+        refused = error
+    for variant in dict.fromkeys(str(run.plan["variant"]) for run in runs):
+        own, others = (tuple(run for run in group if run.plan["variant"] == variant) for group in (runs, needed))
+        yield Variant(experiment, variant, own, others, refused or sections[variant])
+
+
+def _overview(variants: Sequence[Variant]) -> Html:
+    columns = [Column("Experiment"), Column("Variant")]
+    columns += [Column(name, number=True, show=_WHOLE) for name in ("Runs", "Done", "Failed", "Steps", "Labels")]
+    columns += [Column("Time", number=True, show=clock)]
+    rows = []
+    for variant in variants:
+        spent = total(variant.everything)
+        failed = len({run.id for run in variant.everything if run.plan["state"] in TROUBLE})
+        link = element("a", variant.experiment, href=f"#{variant.id}")
+        sums = (spent[name] for name in ("steps", "labels", "wall_s"))
+        rows.append([link, variant.name, spent["runs"], spent["done"], failed, *sums])
+    return of_rows(columns, rows, "What this page holds, runs that others need included")
+
+
+def _made(results: str | Path, experiments: Sequence[str], profile: str | None, written: str) -> Html:
+    """How the page came about."""
+    command = ["rrmctl", "report", "html", *experiments, "--results", str(results)]
+    command += [] if profile is None else ["--profile", profile]
+    told = f"Written by rrmctl {metadata.version('rrmctl')}" + (f", {written}" if written else "") + ", with"
+    return element("p", told, " ", element("code", shlex.join(command)))
+
+
+def _whole(heading: str, parts: Sequence[Part]) -> str:
+    style, script = (resources.files(__package__).joinpath(name).read_text() for name in ("page.css", "page.js"))
+    digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
+    policy = f"default-src 'none'; img-src data:; style-src 'unsafe-inline'; script-src 'sha256-{digest}'"
+    head = element(
+        "head",
+        element("meta", charset="utf-8"),
+        element("meta", http_equiv="Content-Security-Policy", content=policy),
+        element("meta", name="viewport", content="width=device-width, initial-scale=1"),
+        element("meta", name="color-scheme", content="light dark"),
+        element("title", heading),
+        element("style", Html(style)),
+    )
+    entries = element("ul", *(part.entry() for part in parts))
+    contents = element("details", element("summary", "Contents"), entries, open=True)
+    body = element(
+        "body",
+        element("a", "Skip to the report", href="#overview", class_="skip"),
+        element("header", element("h1", heading)),
+        element(
+            "div",
+            element("nav", contents, aria_label="Contents"),
+            element("main", *(part.html() for part in parts)),
+            class_="sides",
+        ),
+        element("dialog", aria_label="Enlarged figure"),
+        element("script", Html(script)),
+    )
+    return f"<!doctype html>\n{element('html', head, body, lang='en')}\n"
