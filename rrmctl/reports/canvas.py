@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import re
 from typing import TYPE_CHECKING, Any
 
 from rrmctl.reports.settings import Width
@@ -50,4 +51,11 @@ def encode(figure: Figure, form: str, dpi: int = 200) -> bytes:
     undated = {"pdf": {"CreationDate": None}, "svg": {"Date": None}}.get(form)
     with mpl.rc_context(_LOOK):
         figure.savefig(buffer, format=form, dpi=dpi, metadata=undated)
-    return buffer.getvalue()
+    data = buffer.getvalue()
+    return _numbered(data) if form == "svg" else data
+
+
+def _numbered(svg: bytes) -> bytes:
+    """The file with ids by order of appearance: matplotlib digests positions, of which layout varies the last bits."""
+    ids: dict[bytes, bytes] = {}
+    return re.sub(rb'(?<=["#])[hmp][0-9a-f]{10}(?=[")])', lambda id_: ids.setdefault(id_[0], b"i%d" % len(ids)), svg)

@@ -5,6 +5,7 @@ import zlib
 import matplotlib as mpl
 import pytest
 from fontTools.ttLib import TTFont
+from matplotlib.figure import Figure
 
 from rrmctl.cli.report import Across, Drawing
 from rrmctl.reports.canvas import FORMS, WIDEST, encode
@@ -61,3 +62,16 @@ def test_a_column_is_a_column_wide(scene):
     encode(column, "png")
     shown = [text for text in column.findobj(mpl.text.Text) if text.get_text() and text.get_visible()]
     assert min(text.get_fontsize() for text in shown) >= 5.5
+
+
+def test_ids_of_an_svg_say_nothing_of_positions():
+    """Layout leaves the last bits of a position to chance; ids, which matplotlib makes of it, are counted."""
+    files = []
+    for left in (0.1, 0.1 + 1e-12):
+        figure = Figure(figsize=(2, 2))
+        figure.add_axes((left, 0.1, 0.8, 0.8)).plot([0, 1], [0, 1], marker="o")
+        files.append(encode(figure, "svg"))
+    assert files[0] == files[1]
+    names = re.findall(rb'(?:href="#|url\(#)([^")]*)', files[0])
+    assert names
+    assert all(b'id="' + name + b'"' in files[0] for name in names)
