@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from rrmctl.cli.options import DEFAULT_RESULTS, ResultsOption
-from rrmctl.cli.report import Iqm, IqmOption, ProfileOption, ReplicatesOption
+from rrmctl.cli.report import Iqm, IqmOption, MixedOption, ProfileOption, ReplicatesOption
 from rrmctl.errors import UserError
 
 
@@ -25,6 +25,7 @@ def html(
     kind: IqmOption = Iqm.RLIABLE,
     profile: ProfileOption = None,
     replicates: ReplicatesOption = 10_000,
+    allow_mixed: MixedOption = False,
 ) -> None:
     """One page with everything: tables, figures, runs, failures, cost, settings, versions, commands.
 
@@ -38,7 +39,8 @@ def html(
     chosen = [Path(name).stem if name.endswith(".toml") else name for name in names or ()]
     now = datetime.datetime.now(datetime.UTC).strftime("%Y-%m-%d %H:%M UTC")
     settings = Settings(kind=kind.value, replicates=replicates)
-    data = build(results, chosen, profile=profile, settings=settings, written=now).encode()
+    page = build(results, chosen, profile=profile, settings=settings, allow_mixed=allow_mixed, written=now)
+    data = page.encode()
     try:
         write_bytes(output, data)
     except StorageError as error:

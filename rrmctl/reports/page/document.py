@@ -35,6 +35,7 @@ def build(
     *,
     profile: str | None = None,
     settings: Settings = DEFAULTS,
+    allow_mixed: bool = False,
     written: str = "",
 ) -> str:
     """The page as a document. Equal stores give equal pages.
@@ -42,13 +43,14 @@ def build(
     Args:
         experiments: only these, in this order; all of the store where none is named.
         profile: only runs at this scale.
+        allow_mixed: take runs together that were made by different versions or precisions, and say so.
         written: when, for people.
 
     Raises:
         UserError: the store holds no run of an experiment or profile that is named, or none at all; a file is damaged.
     """
     names = _named(results, experiments)
-    found = [each for name in names for each in _variants(results, name)]
+    found = [each for name in names for each in _variants(results, name, allow_mixed=allow_mixed)]
     variants = [each for each in found if profile in (None, each.runs[0].plan["profile"])]
     if not variants:
         raise UserError(f'no runs of profile "{profile}" of {", ".join(names)}', "leave --profile out to see all")
@@ -76,13 +78,13 @@ def _named(results: str | Path, experiments: Sequence[str]) -> list[str]:
     return list(dict.fromkeys(experiments)) or known
 
 
-def _variants(results: str | Path, experiment: str) -> Iterator[Variant]:
+def _variants(results: str | Path, experiment: str, *, allow_mixed: bool) -> Iterator[Variant]:
     """The variants of an experiment, with what may be averaged of each or why nothing may."""
     runs, needed = inventory(results, experiment), inventory(results, experiment, needed=True)
     sections: dict[str, Section] = {}
     refused: UserError | None = None
     try:
-        sections = {section.variant: section for section in read_sections(results, experiment)}
+        sections = {section.variant: section for section in read_sections(results, experiment, allow_mixed=allow_mixed)}
     except UserError as error:
         refused = error
     for variant in dict.fromkeys(str(run.plan["variant"]) for run in runs):

@@ -70,8 +70,11 @@ def test_everything_of_the_reference_results_is_there():
                 made = entry.load().make([section], QUICK)
             except UserError:
                 continue
-            assert not made or f'id="{name}-{identifier(kind)}"' in text
-            assert all(element("li", note) in text for report in made for note in report.notes)
+            for report in made:
+                table = identifier(report.facts.get("table", kind))
+                assert f'id="{name}-{table}"' in text or f'id="common-{table}"' in text
+            own = [report for report in made if report.facts["experiment"] == section.experiment]
+            assert all(element("li", note) in text for report in own for note in report.notes)
 
 
 def test_every_link_leads_somewhere(results):
@@ -281,3 +284,17 @@ def test_tables_stand_where_they_belong(tmp_path, monkeypatch):
     first, second = ("main-results", "laptop"), ("toy-car", "t")
     assert kinds_at == {first: ["own", "choosy"], second: ["own"], SEVERAL: ["both"]}
     assert found.refused == {second: {"choosy": "no toys"}, SEVERAL: {"none": "nothing at all"}}
+
+
+def test_mixed_versions_are_shown_when_asked_for(tmp_path):
+    """Runs of two configuration versions are listed with the reason; `--allow-mixed` shows them together, marked."""
+    Sweep(versions={(TASK, "pebble", seed): 1 for seed in range(5)}).write(tmp_path)
+    options = ("--results", tmp_path, "-o", tmp_path / "page.html", "--replicates", 100)
+    assert page(*options).exit_code == 0
+    text = (tmp_path / "page.html").read_text()
+    assert "configuration version is 1 in 5 runs" in text
+    assert 'id="main-results-laptop-iqm"' not in text
+    assert page(*options, "--allow-mixed").exit_code == 0
+    text = (tmp_path / "page.html").read_text()
+    assert "MIXED: " in text
+    assert 'id="main-results-laptop-iqm"' in text

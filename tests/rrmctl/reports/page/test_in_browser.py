@@ -164,7 +164,8 @@ def test_a_figure_enlarges_and_escape_closes_it(page):
     image.click()
     assert page.locator("dialog[open] img").bounding_box()["width"] > 1.5 * first
     page.keyboard.press("Escape")
-    page.wait_for_function("!document.querySelector('dialog').open && !document.querySelector('dialog img')")
+    page.locator("dialog img").wait_for(state="detached")
+    assert page.locator("dialog[open]").count() == 0
     assert page.evaluate("document.activeElement === document.querySelector('.zoom')")
     button.click()
     page.locator("dialog button").click()
