@@ -58,9 +58,8 @@ def write_json(path: Path, value: Mapping[str, Any]) -> None:
     Raises:
         ValueError: it holds NaN, which JSON does not have.
     """
-    assert value  # an empty object has no last line to put it behind
     body = json.dumps(value, indent=1, allow_nan=False).removesuffix("\n}").encode()
-    write_bytes(path, body + _CHECKSUM % zlib.crc32(body))
+    write_bytes(path, body + (_CHECKSUM % zlib.crc32(body) if value else b"\n"))
 
 
 #: The end of a file of at least one entry. One without it was written by hand, or by an earlier version.

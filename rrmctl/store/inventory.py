@@ -47,10 +47,9 @@ class Run:
 
     @property
     def started(self) -> float | None:
-        """When its first attempt began, seconds since the epoch."""
-        if self.provenance is None:
-            return None
-        return datetime.datetime.fromisoformat(self.provenance["started"]).timestamp()
+        """When its first attempt began, seconds since the epoch; None where that is not recorded."""
+        told = (self.provenance or {}).get("started")
+        return None if told is None else datetime.datetime.fromisoformat(told).timestamp()
 
     def facts(self) -> dict[str, Any]:
         """The columns `FACTS`; None where nothing is known."""
