@@ -25,8 +25,8 @@ from rrmctl.cli.request import job_record
 from rrmctl.planning.manifest import load
 from rrmctl.planning.plan import Job, Plan, make_plan
 from rrmctl.running.runfile import config_content
-from rrmctl.store.atomic import try_lock, write_bytes
-from rrmctl.store.curve import encode
+from rrmctl.store.atomic import try_lock, write_table
+from rrmctl.store.curve import SETTINGS, table_of
 from rrmctl.store.layout import Layout, RunFolder
 from rrmctl.store.records import State, Status, SweepRecord, record_config, record_sweep, write_status
 from rrmctl.store.schema import IDENTITY, MEASURED
@@ -117,7 +117,7 @@ def write_curve(number: int, job: Job, folder: RunFolder) -> None:
         row = dict.fromkeys(MEASURED, 0.0) | {"step": steps * at // EVALUATIONS, "episodes": 10}
         rows.append(identity | row | {"success": float(share), "true_return": 1e3 * share, "queries": 0, "labels": 0})
     record_config(folder, config)
-    write_bytes(folder.curve, encode(rows))
+    write_table(folder.curve, table_of(rows), **SETTINGS)
     write_status(folder, _status(State.DONE, steps, steps))
 
 

@@ -25,7 +25,7 @@ from rrm.files import naming, sync_folder, write_atomically
 from rrm.types import State
 
 #: Of the layout written here; another version is refused with its number.
-FORMAT = 1
+FORMAT = 2
 KEPT = 2  #: newest checkpoints that stay
 _BLOCK = 1 << 22  # bytes of a log in memory while it is read back
 
@@ -166,7 +166,8 @@ class Checkpoints:
         name = f"state-{step:012d}"
         write_atomically(self.folder / f"{name}.safetensors", data)
         marker = {"format": FORMAT, "step": step, "size": len(data), "crc32": zlib.crc32(data)}
-        write_atomically(self.folder / f"{name}.json", json.dumps(marker).encode())
+        sealed = marker | {"checksum": _seal(marker)}
+        write_atomically(self.folder / f"{name}.json", json.dumps(sealed).encode())
         for old in self._markers()[KEPT:]:
             old.unlink()
             old.with_suffix(".safetensors").unlink(missing_ok=True)
@@ -205,9 +206,12 @@ class Checkpoints:
     def _read(self, marker: Path) -> tuple[int, State]:
         try:
             told = json.loads(marker.read_bytes())
+            seal = told.pop("checksum", None)
             version, step, size, crc = (int(told[key]) for key in ("format", "step", "size", "crc32"))
+            if version != 1 and seal != _seal(told):  # the first format had none
+                raise CheckpointError("damaged (its marker does not match its checksum)")
             data = marker.with_suffix(".safetensors").read_bytes()
-        except (FileNotFoundError, ValueError, KeyError, TypeError) as error:
+        except (FileNotFoundError, ValueError, KeyError, TypeError, AttributeError) as error:
             raise CheckpointError(f"unreadable ({error})") from error
         if version != FORMAT:
             raise ConfigError(
@@ -217,3 +221,8 @@ class Checkpoints:
         if len(data) != size or zlib.crc32(data) != crc:
             raise CheckpointError("damaged (does not match its checksum)")
         return step, decode(data)
+
+
+def _seal(marker: dict[str, Any]) -> int:
+    """Checksum over a marker's entries, whatever version wrote them."""
+    return zlib.crc32(json.dumps(marker, sort_keys=True).encode())

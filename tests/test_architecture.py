@@ -36,7 +36,7 @@ KNOW_RRM = {
     "cli.prior",  # candidates of a language model become priors of the library
 }
 #: Light, and the one place for what they say: tasks and how they are scored, errors, durable writes, arithmetic.
-FACTS = {"rrm.envs.tasks", "rrm.errors", "rrm.files", "rrm.precision"}
+FACTS = {"rrm.envs.tasks", "rrm.errors", "rrm.files", "rrm.parquet", "rrm.precision"}
 
 #: Floors of `rrm`: a module imports from floors below its own, or from its own package.
 FLOORS = {

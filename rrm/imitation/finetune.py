@@ -14,8 +14,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from rrm.files import write_atomically
 from rrm.imitation.networks import RewardNet
+from rrm.parquet import write_table
 from rrm.rewards.pebble import Pebble
 from rrm.types import Segments, State
 
@@ -43,7 +43,6 @@ class GradientLog:
     def write(self, path: Path) -> None:
         """Replace the parquet file at `path`: columns `step`, `loss` (text) and `gradient_norm`."""
         import pyarrow as pa
-        import pyarrow.parquet as pq
 
         names = pa.DictionaryArray.from_arrays(pa.array(self._losses, pa.int8()), pa.array(LOSSES))
         columns = {
@@ -51,9 +50,7 @@ class GradientLog:
             "loss": names,
             "gradient_norm": pa.array(self._norms, pa.float64()),
         }
-        sink = pa.BufferOutputStream()
-        pq.write_table(pa.table(columns), sink)
-        write_atomically(path, sink.getvalue().to_pybytes())
+        write_table(path, pa.table(columns))
 
     def state_dict(self) -> State:
         return {

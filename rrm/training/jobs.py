@@ -5,7 +5,7 @@ from __future__ import annotations
 import shutil
 import time
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager
 from pathlib import Path
 from types import MappingProxyType
@@ -32,6 +32,9 @@ _NOTHING: Results = MappingProxyType({})
 
 class Monitor(Protocol):
     """What a job tells whoever started it, and asks of them."""
+
+    def restored(self, rows: Sequence[EvalRow]) -> None:
+        """Take every evaluation up to the checkpoint that is continued from, oldest first; most are known already."""
 
     def row(self, row: EvalRow) -> None:
         """Take a finished evaluation; it is durable on return. A row of a step seen before replaces it."""
@@ -116,6 +119,7 @@ def train(
     with monitor.writing():  # what is damaged is set aside
         checkpoints.folder.mkdir(parents=True, exist_ok=True)
         trainer = _restore(config, results, checkpoints, monitor)
+    monitor.restored(trainer.rows)
     try:
         finished = _Session(trainer, checkpoints, monitor, checkpoint_every_s).run()
         if finished:

@@ -8,7 +8,7 @@ store the transition with its prior value. The update at step t therefore never 
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -63,6 +63,7 @@ class Trainer:
         spec = config.spec()
         self.config = config
         self.step = 0
+        self.rows: list[EvalRow] = []  #: evaluations so far, oldest first
         self.streams = Streams(config.seed)
         self.env = make(config.task, horizon=config.horizon)
         self._eval_env = make(config.task, horizon=config.horizon)
@@ -196,6 +197,7 @@ class Trainer:
         )  # fmt: skip
         self.clock.row_wall_s, self.clock.row_step = wall, self.step
         self._row_transition = self.experience.transitions
+        self.rows.append(row)
         return row
 
     def _feedback_figures(self) -> dict[str, Any]:
@@ -231,6 +233,7 @@ class Trainer:
             "imitation": None if self.imitation is None else self.imitation.state_dict(),
             "entropy": self.entropy.state_dict(),
             "clock": self.clock.state_dict(),
+            "rows": [asdict(row) for row in self.rows],
             "loop": {
                 "step": self.step, "obs": self._obs, "row_transition": self._row_transition,
                 "return": self._return, "length": self._length,
@@ -255,6 +258,7 @@ class Trainer:
             self.imitation.load_state_dict(state["imitation"])
         self.entropy.load_state_dict(state["entropy"])
         self.clock.load_state_dict(state["clock"])
+        self.rows = [EvalRow(**row) for row in state["rows"]]
         loop = state["loop"]
         self.step, self._obs, self._row_transition = int(loop["step"]), loop["obs"], int(loop["row_transition"])
         self._return, self._length = float(loop["return"]), int(loop["length"])

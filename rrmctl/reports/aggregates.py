@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING
 from rrmctl.errors import UserError
 from rrmctl.reports.settings import DEFAULTS, Settings
 from rrmctl.reports.tables import CURVE_COLUMNS, curve_table
-from rrmctl.store.atomic import write_bytes
+from rrmctl.store.atomic import write_table
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -48,17 +48,14 @@ def write(layout: Layout, sections: Sequence[Section], settings: Settings = DEFA
     """
     import pandas as pd
     import pyarrow as pa
-    import pyarrow.parquet as pq
 
     mixed = {section.experiment for section in sections if section.mixed}
     tables = [curve_table(section, settings) for section in sections if section.experiment not in mixed]
     curves = pd.concat(tables, ignore_index=True).groupby("experiment", sort=False) if tables else ()
     for experiment, rows in curves:
-        buffer = pa.BufferOutputStream()
         # from_pandas=False: a NaN stays a number and does not become a null.
         columns = [pa.array(rows[name].to_numpy(), kind, from_pandas=False) for name, kind in _kinds()]
-        pq.write_table(pa.Table.from_arrays(columns, schema=schema()), buffer)
-        write_bytes(layout.aggregate(str(experiment)), buffer.getvalue().to_pybytes())
+        write_table(layout.aggregate(str(experiment)), pa.Table.from_arrays(columns, schema=schema()))
     if mixed:
         raise UserError(f"{', '.join(sorted(mixed))}: runs that are mixed are not kept as one curve")
 

@@ -17,11 +17,11 @@ import socket
 import sys
 import time
 import traceback
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager
 from enum import IntEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
 from rrmctl.errors import UserError
 from rrmctl.running.lifeline import Leave, Pipe, StopRequest, say
@@ -39,6 +39,8 @@ if TYPE_CHECKING:
     from rrm.training.demos import DemosConfig
     from rrm.training.jobs import Monitor
     from rrm.types import EvalRow
+
+_T = TypeVar("_T")
 
 #: How often `status.json` is renewed between evaluations, seconds. Each time costs a flush to disk.
 HEARTBEAT_S = 5.0
@@ -77,6 +79,14 @@ class RunMonitor:
         self._pipe = pipe
         self._stop = stop
         self._written = time.monotonic()
+
+    def restored(self, rows: Sequence[EvalRow]) -> None:
+        """Bring back evaluations that the curve has lost."""
+        lost = [row for row in rows if row.step not in self._curve]
+        if lost:
+            self.note(f"{len(lost)} evaluations that {self._lease.folder.curve.name} lacks come from the checkpoint")
+            with self.writing():
+                self._curve.add(*map(dataclasses.asdict, lost))
 
     def row(self, row: EvalRow) -> None:
         """Add an evaluation to the curve; it is on disk when this returns."""
@@ -177,7 +187,7 @@ def _attempt(
     folder = lease.folder
     with lease.writing():
         atomic.remove_leftovers(folder.path)
-        before = _known_status(folder, pipe)
+        before = _healed(folder.status, pipe, lambda: read_status(folder))
         if before.state is State.DONE and not given.fresh:
             return WorkerExit.DONE
         status = _take_up(folder, before, fresh=given.fresh)
@@ -190,13 +200,13 @@ def _attempt(
             status = dataclasses.replace(status, steps=config.steps)
             identity = {"run": folder.id, **{name: stored[name] for name in IDENTITY if name != "run"}}
             with lease.writing():  # what is damaged is set aside
-                curve = CurveWriter(folder, identity, expected=status.rows)
+                curve = _healed(folder.curve, pipe, lambda: CurveWriter(folder, identity))
                 finished = _finished(folder, curve, config)
             if not finished:
                 trainer = trainer or _library(config.threads)
                 facts = provenance.collect(stored, trainer.fingerprint(config), given.asked, status.attempt)
                 with lease.writing():
-                    changes = provenance.record(folder, facts)
+                    changes = _healed(folder.provenance, pipe, lambda: provenance.record(folder, facts))
                 for change in changes:
                     pipe.note(f"differs from the attempt before: {change}")
     except Leave:
@@ -224,14 +234,16 @@ def _finished(folder: RunFolder, curve: CurveWriter, config: RunConfig | DemosCo
     return True
 
 
-def _known_status(folder: RunFolder, pipe: Pipe) -> Status:
-    """The status on disk. A damaged one is set aside: the curve and the checkpoint tell the same, less conveniently."""
+def _healed(path: Path, pipe: Pipe, read: Callable[[], _T]) -> _T:
+    """What `read` makes of a file. A damaged one is set aside: other files of the run tell the same."""
     try:
-        return read_status(folder)
+        return read()
     except atomic.DamagedError as error:
-        aside = atomic.set_aside(folder.status, "corrupt")
+        if not path.exists():
+            raise
+        aside = atomic.set_aside(path, "corrupt")
         pipe.note(f"{error}; set aside as {aside.name}")
-        return Status()
+        return read()
 
 
 def _take_up(folder: RunFolder, before: Status, *, fresh: bool) -> Status:

@@ -11,10 +11,14 @@ import time
 import zlib
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
+from rrm import parquet
 from rrm.files import sync_folder, write_atomically
 from rrmctl.errors import UserError
+
+if TYPE_CHECKING:
+    import pyarrow as pa
 
 #: What the operating system says when it is the place, not the program, that cannot take a write.
 STORAGE_ERRNOS = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EACCES, errno.EPERM, errno.EIO, errno.EFBIG})
@@ -45,9 +49,25 @@ def write_bytes(path: Path, data: bytes) -> None:
     Raises:
         StorageError: no space, no permission; the old file is untouched.
     """
+    with _storing(path):
+        write_atomically(path, data)
+
+
+def write_table(path: Path, table: pa.Table, **settings: Any) -> None:
+    """`write_bytes` of `table` as a parquet file, with settings as in `rrm.parquet`.
+
+    Raises:
+        StorageError: no space, no permission; the old file is untouched.
+    """
+    with _storing(path):
+        parquet.write_table(path, table, **settings)
+
+
+@contextlib.contextmanager
+def _storing(path: Path) -> Iterator[None]:
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        write_atomically(path, data)
+        yield
     except OSError as error:
         raise storage_error(path, error) from error
 

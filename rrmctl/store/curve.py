@@ -13,24 +13,19 @@ if TYPE_CHECKING:
     import pyarrow as pa
 
 _AGAIN = "bring back a copy, or train the run again with --force"
+#: Settings that read quickest at a few hundred rows; thousands of such files are read at a time.
+SETTINGS = {"compression": "snappy", "use_dictionary": False, "write_statistics": False, "write_page_checksum": True}
+
 _TEXTS = [name for name, kind in IDENTITY.items() if kind == "string"]
 
 
-def encode(rows: list[dict[str, Any]]) -> bytes:
-    """Rows, each with every column of the curve, as a parquet file."""
+def table_of(rows: list[dict[str, Any]]) -> pa.Table:
+    """Rows, each with every column of the curve, as `decode` gives them back."""
     import pyarrow as pa
-    import pyarrow.parquet as pq
 
     schema = curve_schema()
     table: pa.Table = pa.Table.from_pylist(rows, schema=schema)
-    table = table.replace_schema_metadata({**schema.metadata, CHECKSUM_KEY: _checksum(table)})
-    sink = pa.BufferOutputStream()
-    # Settings that read quickest at a few hundred rows; thousands of such files are read at a time.
-    pq.write_table(
-        table, sink, compression="snappy", use_dictionary=False, write_statistics=False, write_page_checksum=True
-    )
-    data: bytes = sink.getvalue().to_pybytes()
-    return data
+    return table.replace_schema_metadata({**schema.metadata, CHECKSUM_KEY: _checksum(table)})
 
 
 def decode(data: bytes, path: Path) -> pa.Table:

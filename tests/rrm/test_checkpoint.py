@@ -122,15 +122,35 @@ def test_a_state_that_does_not_restore_falls_back(tmp_path):
     assert checkpoints.load(restore) == 10
 
 
-def test_another_format_is_refused_not_removed(tmp_path):
-    """A checkpoint of another version stays, and the message says which version wrote it."""
+@pytest.mark.parametrize("version", [1, 99])
+def test_another_format_is_refused_not_removed(tmp_path, monkeypatch, version):
+    """A checkpoint of another version stays, and the message says which version wrote it. The first had no seal."""
     checkpoints = Checkpoints(tmp_path)
-    checkpoints.save(10, {})
+    with monkeypatch.context() as other:
+        other.setattr(checkpoint, "FORMAT", version)
+        checkpoints.save(10, {})
     marker = tmp_path / "state-000000000010.json"
-    marker.write_text(json.dumps(json.loads(marker.read_text()) | {"format": 99}))
-    with pytest.raises(ConfigError, match="format 99"):
+    if version == 1:
+        marker.write_text(
+            json.dumps({key: value for key, value in json.loads(marker.read_text()).items() if key != "checksum"})
+        )
+    with pytest.raises(ConfigError, match=f"format {version}, this version reads {checkpoint.FORMAT}"):
         checkpoints.load(lambda _: None)
     assert marker.exists()
+
+
+@pytest.mark.parametrize("entry", ["format", "step", "size", "crc32", "checksum"])
+def test_a_marker_that_was_changed_is_damaged(tmp_path, entry):
+    """No number in it can turn into another one and be believed."""
+    checkpoints = Checkpoints(tmp_path)
+    checkpoints.save(10, {"step": 10})
+    checkpoints.save(20, {"step": 20})
+    marker = tmp_path / "state-000000000020.json"
+    told = json.loads(marker.read_text())
+    marker.write_text(json.dumps(told | {entry: told[entry] + 1}))
+    found = []
+    assert checkpoints.load(found.append) == 10
+    assert found == [{"step": 10}]
 
 
 @given(st.lists(st.binary(max_size=20), max_size=6), st.binary(max_size=9), st.data())

@@ -37,6 +37,10 @@ class Recorder:
     def __init__(self, patience=None):
         self.rows, self.notes, self.logged, self.beats, self.patience = {}, [], [], [], patience
 
+    def restored(self, rows):
+        for row in rows:
+            self.rows.setdefault(row.step, row)
+
     def row(self, row):
         self.rows[row.step] = row
 

@@ -105,9 +105,7 @@ def test_damaged_checkpoints_cost_steps_not_the_run(tiny, recorder, networks, tm
     assert any("set aside" in note for note in rest.notes)
     again = ["starting again from step 0"] if damage == "all" else ["of step 250; 150 steps are trained again"]
     assert any(note.endswith(tuple(again)) for note in rest.notes)
-    together = recorder()
-    together.rows = first.rows | second.rows | rest.rows
-    assert straight.numbers() == together.numbers()
+    assert straight.numbers() == rest.numbers(), "the checkpoint brings back the evaluations before it"
     assert networks(tmp_path / "a") == networks(tmp_path / "b")
 
 
@@ -123,6 +121,7 @@ def test_killed_with_sigkill_it_goes_on(tiny, recorder, networks, tmp_path):
         from rrm.training.jobs import train
         class Fatal:
             steps = 0
+            def restored(self, rows): pass
             def row(self, row): pass
             def note(self, message): pass
             def beat(self, *_): pass

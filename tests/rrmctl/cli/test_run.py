@@ -364,3 +364,30 @@ def test_no_room_for_a_checkpoint_is_said_and_overcome(tmp_path: Path) -> None:
     assert "rrmctl resume" in result.stderr
     assert planned(tmp_path, "toy-car")["state"].tolist() == ["interrupted"]
     assert call("resume", "--results", tmp_path).exit_code == 0
+
+
+@pytest.mark.slow
+def test_a_full_disk_in_the_middle_of_a_write(tmp_path: Path) -> None:
+    """A real file system of two megabytes: it says what to do, keeps what there was, and goes on given space."""
+    quiet, small = tmp_path / "quiet", tmp_path / "small"
+    small.mkdir()
+    mount = ["mount", "-t", "tmpfs", "-o", "size=2m", "tmpfs", small]
+    if subprocess.run(mount, check=False, capture_output=True).returncode:
+        pytest.skip("only the superuser can make a file system")
+    sweep = [*PLAN, "--seeds", "3", "--methods", "oracle", "--workers", "2", "--set", "agent.hidden=96"]
+    try:
+        result = call("run", *sweep, "--results", small)
+        assert result.exit_code == 75, result.output
+        assert "No space left on device" in result.stderr
+        assert "make space, then `rrmctl resume` goes on" in " ".join(result.stderr.split())
+        assert "Traceback" not in result.output
+        assert call("status", "--results", small).exit_code == 0
+        before = load(small, "toy-car")
+        subprocess.run(["mount", "-o", "remount,size=64m", small], check=True)
+        result = call("resume", "--results", small)
+        assert result.exit_code == 0, result.output
+        assert call("run", *sweep, "--results", quiet).exit_code == 0
+        assert numbers(small) == numbers(quiet)
+        assert len(before) <= len(load(small, "toy-car"))
+    finally:
+        subprocess.run(["umount", "-l", small], check=True)

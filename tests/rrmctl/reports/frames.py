@@ -7,12 +7,12 @@ from pathlib import Path
 
 import pandas as pd
 
-from rrmctl.store.atomic import write_bytes, write_json
+from rrmctl.store.atomic import write_json, write_table
+from rrmctl.store.curve import SETTINGS, table_of
 from rrmctl.store.layout import Layout
 from rrmctl.store.reader import PLANNED
 from rrmctl.store.records import JobRecord, State, Status, SweepRecord, record_sweep, write_status
 from rrmctl.store.schema import IDENTITY, MEASURED
-from rrmctl.store.writer import encode
 
 #: Success of each seed at steps 100, 200, 300, 400; the true return is a thousand times that.
 RISING = {
@@ -118,7 +118,7 @@ class Sweep:
             write_status(folder, Status(state=State(job["state"]), steps=400))
             curve = rows[rows["run"] == job["run"]][[*IDENTITY, *MEASURED]].astype({"queries": int, "labels": int})
             if len(curve):
-                write_bytes(folder.curve, encode(curve.to_dict("records")))
+                write_table(folder.curve, table_of(curve.to_dict("records")), **SETTINGS)
 
 
 def together(*sweeps: Sweep) -> tuple[pd.DataFrame, pd.DataFrame]:

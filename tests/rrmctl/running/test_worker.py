@@ -127,28 +127,24 @@ def test_what_changed_since_the_last_attempt_is_said(
     assert resumed["changes"] == {"fingerprint.toy-car": ["1", "2"]}
 
 
-def test_a_damaged_curve_fails_the_run_until_it_is_trained_again(folder: RunFolder) -> None:
-    """It is named and set aside, a second attempt does not go on without the rows, and --fresh heals it."""
-    work(folder)
-    write_status(folder, dataclasses.replace(read_status(folder), state=State.INTERRUPTED))
-    folder.curve.write_bytes(folder.curve.read_bytes()[:-9])
-    message = refusal(folder)
-    assert "curve.parquet is damaged" in message
-    assert "curve.parquet.corrupt-1" in message
-    assert "holds 0 evaluations, 4 had been written" in refusal(folder)
-    assert work(folder, "--fresh") is WorkerExit.DONE
-    assert steps(folder) == [10, 20, 30, 40]
-
-
-def test_a_damaged_status_is_set_aside_and_the_run_goes_on(
-    folder: RunFolder, capsys: pytest.CaptureFixture[str]
+@pytest.mark.parametrize("name", ["status.json", "provenance.json", "curve.parquet"])
+def test_a_damaged_file_is_set_aside_and_the_run_goes_on(
+    folder: RunFolder, name: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Curve and checkpoint hold what counts; the damage is said."""
+    """What it told is told again, by the checkpoint or by training; the damage is said, and the bytes are kept."""
     work(folder)
-    folder.status.write_text("{")
-    assert work(folder) is WorkerExit.DONE
-    assert "set aside as status.json.corrupt-1" in capsys.readouterr().out
-    assert read_status(folder).state is State.DONE
+    for number in (1, 2):
+        folder.model.unlink()
+        write_status(folder, dataclasses.replace(read_status(folder), state=State.INTERRUPTED))
+        torn = (folder.path / name).read_bytes()[:-9]
+        (folder.path / name).write_bytes(torn)
+        capsys.readouterr()
+        assert work(folder) is WorkerExit.DONE
+        aside = f"{name}.corrupt-{number}"
+        assert f"set aside as {aside}" in capsys.readouterr().out
+        assert (folder.path / aside).read_bytes() == torn
+        assert steps(folder) == [10, 20, 30, 40]
+        assert read_status(folder).state is State.DONE
 
 
 def test_a_configuration_that_was_edited_is_refused(folder: RunFolder) -> None:

@@ -1,0 +1,110 @@
+"""Parquet files that are replaced while others read them.
+
+Whoever reads one by its path (pandas and pyarrow do) opens it twice: for the footer, then for the pages that the footer
+points at. Where the file was replaced in between, the pages are looked for in its successor. A file therefore keeps the
+pages of those it replaced where they were, for `KEPT_S`, and has its own in a gap between them::
+
+    magic | own pages | pages of the version before | pages of the version before that | footer
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from dataclasses import astuple, dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from rrm.files import write_atomically
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+#: For how long after its replacement a version can still be read, seconds. Between the two openings lie milliseconds.
+KEPT_S = 10.0
+
+_KEY = b"rrm.pages"
+_MAGIC = b"PAR1"
+
+
+@dataclass(frozen=True)
+class Pages:
+    """Where the pages of one version lie: bytes `start` to `end` of the file."""
+
+    start: int
+    end: int
+    replaced: float | None = None  #: when, seconds since the epoch; None for the version that the footer describes
+
+
+def write_table(path: Path, table: pa.Table, **settings: Any) -> None:
+    """Replace `path` by the table, durably; who is reading it by its path meanwhile gets what it held, or the table.
+
+    Args:
+        settings: of `pyarrow.parquet.ParquetWriter`.
+
+    Raises:
+        OSError: no space, no permission; the error names `path`, and the old file is untouched.
+    """
+    before = path.read_bytes() if path.exists() else b""
+    write_atomically(path, encode(table, before, **settings))
+
+
+def encode(table: pa.Table, before: bytes = b"", **settings: Any) -> bytes:
+    """The table as a parquet file.
+
+    Args:
+        before: the file that it replaces, whose readers are not to be disturbed; none if that is damaged.
+        settings: of `pyarrow.parquet.ParquetWriter`.
+    """
+    kept = _kept(before)
+    pages, _ = _encode_at(len(_MAGIC), table, kept, settings)
+    start = _gap(kept, len(pages))
+    pages, footer = _encode_at(start, table, kept, settings)
+    data = bytearray(max([start + len(pages), *(each.end for each in kept)]))
+    for each in kept:
+        data[each.start : each.end] = before[each.start : each.end]
+    data[start : start + len(pages)] = pages
+    data[: len(_MAGIC)] = _MAGIC
+    return bytes(data) + footer
+
+
+def _kept(before: bytes) -> list[Pages]:
+    """The places in a file that its successor must leave as they are, in their order."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    now = time.time()
+    try:
+        told = (pq.read_metadata(pa.BufferReader(before)).metadata or {})[_KEY]
+        places = [Pages(*each) for each in json.loads(told)]
+    except (pa.ArrowException, OSError, ValueError, TypeError, KeyError):
+        return []  # none, a damaged one, or another program's: nobody can have begun to read it as one of these
+    kept = [Pages(each.start, each.end, each.replaced or now) for each in places]
+    young = [each for each in kept if each.replaced is not None and abs(now - each.replaced) < KEPT_S]
+    return sorted((each for each in young if 0 <= each.start <= each.end <= len(before)), key=lambda each: each.start)
+
+
+def _gap(kept: list[Pages], size: int) -> int:
+    """The first place for so many bytes between those that are kept, or behind them."""
+    start = len(_MAGIC)
+    for each in kept:
+        if start + size <= each.start:
+            break
+        start = max(start, each.end)
+    return start
+
+
+def _encode_at(start: int, table: pa.Table, kept: list[Pages], settings: dict[str, Any]) -> tuple[bytes, bytes]:
+    """Pages that will lie at `start`, and the footer that finds them there."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    sink = pa.BufferOutputStream()
+    with pq.ParquetWriter(sink, table.schema, **settings) as writer:
+        sink.write(bytes(start - sink.tell()))  # the writer notes down where in the stream its pages come to lie
+        writer.write_table(table)
+        end = sink.tell()
+        places = [Pages(start, end), *kept]
+        writer.add_key_value_metadata({_KEY: json.dumps([astuple(each) for each in places])})
+    data = sink.getvalue().to_pybytes()
+    return data[start:end], data[end:]

@@ -1,0 +1,81 @@
+"""Parquet files that are replaced under their readers."""
+
+from __future__ import annotations
+
+import io
+import os
+import threading
+from pathlib import Path
+
+import pandas as pd
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from rrm import parquet
+from rrm.parquet import encode, write_table
+
+tables = st.builds(
+    lambda values, text: pa.table({"a": values, "b": [text] * len(values)}),
+    st.lists(st.integers(-(2**40), 2**40), min_size=1, max_size=60),
+    st.text(max_size=40),
+)
+
+
+def read_with_footer_of(old: bytes, data: bytes) -> pa.Table:
+    """What a reader gets that opened the file `old` for its footer, and its successor for the pages."""
+    return pq.ParquetFile(pa.BufferReader(data), metadata=pq.read_metadata(io.BytesIO(old))).read()
+
+
+@given(st.lists(tables, min_size=1, max_size=8))
+def test_who_read_the_footer_of_any_version_finds_its_pages_in_all_that_follow(versions: list[pa.Table]) -> None:
+    """Versions of any sizes, smaller and larger ones in turn."""
+    files = [b""]
+    for table in versions:
+        files.append(encode(table, files[-1], write_page_checksum=True))
+        for old, content in zip(files[1:], versions, strict=False):
+            assert read_with_footer_of(old, files[-1]).equals(content)
+        assert pq.read_table(io.BytesIO(files[-1])).equals(table)
+
+
+def test_what_nobody_can_be_reading_any_more_is_dropped(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A file replaced now and then holds its predecessor's pages and no others."""
+    table = pa.table({"a": range(1000)})
+    one = encode(table)
+    two = encode(table, one)
+    monkeypatch.setattr(parquet, "KEPT_S", -1.0)
+    assert len(encode(table, two)) == len(one) < len(two)
+
+
+@pytest.mark.parametrize("before", [b"", b"PAR1", b"PAR1" * 9, os.urandom(500)])
+def test_a_damaged_predecessor_is_none(before: bytes) -> None:
+    """Nor is one without pages, or one that another program wrote."""
+    table = pa.table({"a": [1]})
+    assert encode(table, before) == encode(table)
+    other = io.BytesIO()
+    pq.write_table(table, other)
+    assert encode(table, other.getvalue()) == encode(table)
+
+
+def test_pandas_reads_while_it_is_replaced(tmp_path: Path) -> None:
+    """By the path, thousands of times: every time a whole version."""
+    path, stop = tmp_path / "table.parquet", threading.Event()
+
+    def write() -> None:
+        rows = 1
+        while not stop.is_set():
+            write_table(path, pa.table({"a": [rows] * rows}))
+            rows = rows % 300 + 1
+
+    write_table(path, pa.table({"a": [1]}))
+    thread = threading.Thread(target=write)
+    thread.start()
+    try:
+        for _ in range(2000):
+            read = pd.read_parquet(path)["a"]
+            assert read.tolist() == [read[0]] * read[0]
+    finally:
+        stop.set()
+        thread.join()
