@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import errno
 from typing import Annotated, Any
 
@@ -44,9 +45,10 @@ def _say(message: str, hint: str | None) -> None:
     from rich.text import Text
 
     console = Console(stderr=True, highlight=False, soft_wrap=True)
-    console.print(Text.assemble(("error: ", "bold red"), message))
-    if hint:
-        console.print(Text.assemble(("hint: ", "bold cyan"), hint))
+    with contextlib.suppress(OSError):  # the exit code still tells
+        console.print(Text.assemble(("error: ", "bold red"), message))
+        if hint:
+            console.print(Text.assemble(("hint: ", "bold cyan"), hint))
 
 
 app = typer.Typer(

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import typer
 
 from rrmctl.cli.options import DEFAULT_RESULTS
+from rrmctl.cli.screen import tell
 from rrmctl.cli.state import rerun_command
 from rrmctl.errors import Exit, UserError
 
@@ -34,7 +35,7 @@ def finish(layout: Layout, code: Exit, sweeps: Sequence[SweepRecord], *, damaged
         _aggregate(layout, names)
     lost = list(_lost(layout, sweeps)) if code is not Exit.INTERRUPTED else []
     for line in lost:
-        typer.echo(line)
+        tell(line)
     if code is Exit.DONE and (lost or damaged or "failed" in found):
         code = Exit.FAILED
     _advise(layout, code, names, failed="failed" in found)
@@ -46,16 +47,16 @@ def _advise(layout: Layout, code: Exit, names: Sequence[str], *, failed: bool) -
     name = f" {names[0]}" if len(names) == 1 else ""
     match code:
         case Exit.DONE:
-            typer.echo("All done. Next:")
+            tell("All done. Next:")
             for each in names:
-                typer.echo(f"  rrmctl report iqm {each}{here}")
-                typer.echo(f"  rrmctl plot {each}{here}")
+                tell(f"  rrmctl report iqm {each}{here}")
+                tell(f"  rrmctl plot {each}{here}")
         case Exit.FAILED if failed:
-            typer.echo(f"Some runs failed: rrmctl status{name} --failed{here}; --retry-failed tries them again.")
+            tell(f"Some runs failed: rrmctl status{name} --failed{here}; --retry-failed tries them again.")
         case Exit.FAILED:
-            typer.echo("Not all is there; see above.")
+            tell("Not all is there; see above.")
         case _:
-            typer.echo(f"Not complete: rrmctl resume{name}{here} goes on where it stopped.")
+            tell(f"Not complete: rrmctl resume{name}{here} goes on where it stopped.")
 
 
 def _lost(layout: Layout, sweeps: Iterable[SweepRecord]) -> Iterator[str]:
@@ -87,4 +88,4 @@ def _aggregate(layout: Layout, names: Iterable[str]) -> None:
         try:
             aggregates.write(layout, read_sections(layout.root, name))
         except (UserError, RrmError) as error:
-            typer.echo(f"note: aggregates/{name}.parquet was not written: {error}", err=True)
+            tell(f"note: aggregates/{name}.parquet was not written: {error}")

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from rrmctl.cli.finish import finish
+from rrmctl.cli.leaving import resumable
 from rrmctl.cli.options import (
     DEFAULT_EXPERIMENTS,
     DEFAULT_RESULTS,
@@ -60,6 +61,7 @@ MemoryOption = Annotated[
 RetryOption = Annotated[bool, typer.Option("--retry-failed", help="Try failed runs again, from their checkpoint.")]
 
 
+@resumable
 def run(
     name: ExperimentArgument,
     seeds: SeedsOption = None,
@@ -140,6 +142,7 @@ def run(
     finish(layout, code, [sweep])
 
 
+@resumable
 def resume(
     name: Annotated[
         str | None, typer.Argument(metavar="[NAME]", help="Only this experiment. Default: all in the results folder.")
@@ -271,7 +274,9 @@ def _run(
 def _progress_console() -> Console:
     from rich.console import Console
 
-    return Console(stderr=True, highlight=False)
+    from rrmctl.cli.screen import unfailing
+
+    return Console(file=unfailing(sys.stderr), highlight=False)
 
 
 def _asks() -> bool:

@@ -28,6 +28,12 @@ _THREAD_VARIABLES = (
 )  # fmt: skip
 
 
+_UNHEARD: dict[int, tuple[ErrorKind, str]] = {
+    WorkerExit.STORAGE: (ErrorKind.STORAGE, "the results folder took no write"),
+    WorkerExit.REFUSED: (ErrorKind.REFUSED, "it cannot be run"),
+}
+
+
 class Child:
     """The worker of one run. Its output goes to the run's log.
 
@@ -144,6 +150,9 @@ class Child:
         """Why a worker is gone that could not say so itself."""
         if self.ended_for is not None:
             return self.ended_for
+        if code in _UNHEARD:  # its message was lost, as the pipe was full
+            kind, told = _UNHEARD[code]
+            return RunError(kind=kind, type=kind.capitalize(), message=f"{told}; its log says more")
         if code >= 0:
             return RunError(kind=ErrorKind.CRASHED, type="Exit", message=f"left with exit code {code}")
         told = f"killed by signal {-code}"

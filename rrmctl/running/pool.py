@@ -29,6 +29,9 @@ from rrmctl.store.records import ErrorKind, RunError, State, Status, record_fail
 #: Longest wait between two looks at the children, seconds; pipes and signals end it early.
 _TICK_S = 0.2
 
+#: How often in a row the system may refuse to start a process, with growing pauses: for some minutes.
+_REFUSALS = 8
+
 #: Time between two looks at runs that other processes own, seconds.
 _POLL_S = 1.0
 
@@ -92,6 +95,8 @@ class Pool:
     _kill_at: float | None = field(default=None, init=False)  #: when workers that were asked to leave are ended
     _silent: dict[str, Beat] = field(default_factory=dict, init=False)  #: runs to be taken over
     _weighed: float = field(default=0.0, init=False)  #: when the memory of workers was last looked at
+    _refusals: int = field(default=0, init=False)  #: of the system to start a process, in a row
+    _start_at: float = field(default=0.0, init=False)  #: before this moment nothing is started
     _looked: float = field(default=0.0, init=False)  #: when runs of other processes were last looked at
 
     def __post_init__(self) -> None:
@@ -126,6 +131,8 @@ class Pool:
                 self._selector.close()
 
     def _start_waiting(self) -> None:
+        if time.monotonic() < self._start_at:
+            return
         while (job := self.scheduler.next()) is not None:
             assignment, status = self._jobs[job], run_status(self.layout.run(job))
             settled = None if job in self._launched else _settled(assignment, status)
@@ -136,14 +143,30 @@ class Pool:
                 continue
             self.scheduler.start(job)
             try:
-                self._launch(assignment, fresh=assignment.fresh and status.attempt <= assignment.attempt)
+                self._launch(assignment)
             except StorageError as error:
                 self._conclude(job, _failure(ErrorKind.STORAGE, "StorageError", str(error)))
             except OSError as error:
-                self._conclude(job, _failure(ErrorKind.CRASHED, "OSError", f"no process could be started: {error}"))
+                self._wait_for_the_system(job, error)
+                return
+            self._refusals = 0
 
-    def _launch(self, assignment: Assignment, *, fresh: bool) -> None:
-        options = ["--asked", json.dumps(list(self.asked)), *(["--fresh"] if fresh else [])]
+    def _wait_for_the_system(self, job: str, error: OSError) -> None:
+        """It started no process, for want of memory or of numbers for it: that may pass."""
+        self.scheduler.free(job)
+        self._refusals += 1
+        if self._refusals > _REFUSALS and not self._children:
+            self.watcher.note(job, f"no process can be started: {error.strerror}; giving up for now")
+            self.scheduler.stop()
+            return
+        pause = 2.0 ** min(self._refusals - 1, 6)
+        self.watcher.note(job, f"no process can be started: {error.strerror}; trying again in {pause:.0f} s")
+        self._start_at = time.monotonic() + pause
+
+    def _launch(self, assignment: Assignment) -> None:
+        options = ["--asked", json.dumps(list(self.asked))]
+        if assignment.fresh:
+            options += ["--fresh", str(assignment.attempt)]
         if (beat := self._silent.pop(assignment.id, None)) is not None:
             options += ["--take-over", f"{beat.owner}:{beat.count}"]
         child = Child(

@@ -102,8 +102,9 @@ class Scheduler:
         Returns:
             The job's new phase; `waiting` means that it will be tried again.
         """
+        ran_here = self._phase[job] is Phase.RUNNING
         self._leave(job)
-        self._enter(job, self._after(job, outcome))
+        self._enter(job, self._after(job, outcome, ran_here=ran_here))
         return self._phase[job]
 
     def block(self, failed: str) -> list[str]:
@@ -115,7 +116,7 @@ class Scheduler:
         return blocked + [further for job in blocked for further in self.block(job)]
 
     def free(self, job: str) -> None:
-        """A job that ran elsewhere was given up there; it is the next to start here."""
+        """A job that ran elsewhere was given up there, or could not be started: it is the next to start here."""
         self._leave(job)
         self._phase[job] = Phase.WAITING
         self._queue.appendleft(job)
@@ -151,7 +152,7 @@ class Scheduler:
             return Exit.INCOMPLETE
         return Exit.FAILED if counts[Phase.FAILED] else Exit.DONE
 
-    def _after(self, job: str, outcome: Outcome) -> Phase:
+    def _after(self, job: str, outcome: Outcome, *, ran_here: bool) -> Phase:
         match outcome.ending:
             case Ending.DONE:
                 return Phase.DONE
@@ -162,7 +163,8 @@ class Scheduler:
             case Ending.BLOCKED:
                 return Phase.BLOCKED
             case Ending.FAILED:
-                return self._after_failure(job, outcome.error)
+                # Elsewhere it was tried as often as it should be.
+                return self._after_failure(job, outcome.error) if ran_here else Phase.FAILED
 
     def _after_failure(self, job: str, error: RunError | None) -> Phase:
         assert error is not None  # a failure says why

@@ -1,6 +1,6 @@
 """The child process: takes up one run, trains it and records what happens, until it is done or told to stop.
 
-    python -m rrmctl.running.worker RESULTS RUN [--fresh] [--pipe FD] [--parent PID] [--asked JSON]
+    python -m rrmctl.running.worker RESULTS RUN [--fresh ATTEMPT] [--pipe FD] [--parent PID] [--asked JSON]
 
 Nothing heavy is imported before the run's lock is held, so that losing the race for a run costs little.
 """
@@ -168,7 +168,9 @@ def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
     )
     parser.add_argument("results", type=Path)
     parser.add_argument("run")
-    parser.add_argument("--fresh", action="store_true", help="remove what the run holds first")
+    parser.add_argument(
+        "--fresh", type=int, metavar="ATTEMPT", help="remove what the run holds first, unless there was a later attempt"
+    )
     parser.add_argument("--pipe", type=int, help="descriptor that takes progress, one JSON object per line")
     parser.add_argument("--parent", type=int, help="process whose death means: checkpoint and leave")
     parser.add_argument("--take-over", type=_beat, metavar="OWNER:COUNT", help="the last sign of life of who holds it")
@@ -188,9 +190,10 @@ def _attempt(
     with lease.writing():
         atomic.remove_leftovers(folder.path)
         before = _healed(folder.status, pipe, lambda: read_status(folder))
-        if before.state is State.DONE and not given.fresh:
+        fresh = given.fresh is not None and before.attempt <= given.fresh
+        if before.state is State.DONE and not fresh:
             return WorkerExit.DONE
-        status = _take_up(folder, before, fresh=given.fresh)
+        status = _take_up(folder, before, fresh=fresh)
     say(f"--- attempt {status.attempt}, process {os.getpid()}, {time.strftime('%Y-%m-%d %H:%M:%S')}")
     pipe.send(event="start", attempt=status.attempt, rows=status.rows)
     try:
@@ -296,7 +299,8 @@ def _report(folder: RunFolder, error: Exception, pipe: Pipe) -> tuple[WorkerExit
 
 
 def _record_failure(lease: Lease, reason: RunError) -> None:
-    state = State.INTERRUPTED if reason.kind is ErrorKind.STORAGE else State.FAILED
+    # What may not happen again is not the run's end: whether it is tried again, its parent or the next one decides.
+    state = State.FAILED if reason.kind is ErrorKind.REFUSED else State.INTERRUPTED
     try:
         with lease.writing():
             status = read_status(lease.folder)

@@ -7,6 +7,7 @@ import dataclasses
 import json
 import os
 import re
+import resource
 import signal
 import subprocess
 import sys
@@ -36,9 +37,11 @@ from pathlib import Path
 from tests.rrmctl.running.standin import COMMAND, prepare
 from tests.rrmctl.running.test_pool import Record
 from rrmctl.running.pool import Pool
-root, jobs, slots = Path(sys.argv[1]), *map(int, sys.argv[2:])
-layout, assigned = prepare(root, range(jobs))
-sys.exit(Pool(layout=layout, assignments=assigned, slots=slots, watcher=Record(), command=COMMAND).run())
+root, (jobs, slots, steps, lease_s) = Path(sys.argv[1]), map(int, sys.argv[2:])
+layout, assigned = prepare(root, range(jobs), steps)
+sys.exit(Pool(
+    layout=layout, assignments=assigned, slots=slots, watcher=Record(), command=COMMAND, lease_s=lease_s
+).run())
 """
 
 
@@ -120,9 +123,9 @@ def until(condition: Callable[[], bool], seconds: float = 120.0) -> None:
 
 
 @contextlib.contextmanager
-def parent(root: Path, jobs: int, slots: int) -> Iterator[subprocess.Popen[bytes]]:
+def parent(root: Path, jobs: int, slots: int, steps: int = 40, lease_s: int = 30) -> Iterator[subprocess.Popen[bytes]]:
     """A pool in a process of its own."""
-    command = [sys.executable, "-c", PARENT, str(root), str(jobs), str(slots)]
+    command = [sys.executable, "-c", PARENT, *map(str, (root, jobs, slots, steps, lease_s))]
     with subprocess.Popen(command, cwd=Path(__file__).parents[3]) as process:
         try:
             yield process
@@ -250,6 +253,24 @@ def test_what_a_worker_has_started_dies_with_it(tmp_path: Path, behave: Callable
 
 
 @pytest.mark.slow
+def test_a_system_that_starts_no_process_is_waited_for(tmp_path: Path) -> None:
+    """No descriptors are left for a moment: nothing has failed, and all is done a little later."""
+    layout, assigned = prepare(tmp_path, range(2))
+    watcher, limits = Record(), resource.getrlimit(resource.RLIMIT_NOFILE)
+
+    def relent() -> None:
+        until(lambda: len(watcher.notes) == 2)
+        resource.setrlimit(resource.RLIMIT_NOFILE, limits)
+
+    working = pool(layout, assigned, watcher)
+    with meanwhile(relent):
+        resource.setrlimit(resource.RLIMIT_NOFILE, (len(list(Path("/proc/self/fd").iterdir())) + 4, limits[1]))
+        assert working.run() is Exit.DONE
+    assert all("Too many open files; trying again" in note for note in watcher.notes[:2])
+    assert attempts(layout, assigned) == [1, 1]
+
+
+@pytest.mark.slow
 def test_a_full_disk_stops_the_sweep_and_says_so(tmp_path: Path, behave: Callable[..., None]) -> None:
     """Nothing has failed: the runs are interrupted, and the same command goes on when there is space."""
     behave(other="full")
@@ -343,6 +364,36 @@ def test_parents_on_one_folder_share_the_jobs(tmp_path: Path) -> None:
     layout, assigned = prepare(tmp_path, range(8))
     assert attempts(layout, assigned) == [1] * 8
     assert rows(tmp_path) == expected(range(8))
+
+
+def children(pid: int) -> list[int]:
+    return [int(child) for child in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
+
+
+@pytest.mark.slow
+def test_four_parents_of_which_one_is_killed_and_one_is_stopped(tmp_path: Path) -> None:
+    """One with its workers, and another's workers for longer than a lease: the others end all jobs, none twice."""
+    jobs, steps = 12, 1000
+    with contextlib.ExitStack() as stack:
+        parents = [stack.enter_context(parent(tmp_path, jobs, 2, steps, lease_s=3)) for _ in range(4)]
+        until(lambda: all(len(children(each.pid)) == 2 for each in parents))
+        until(lambda: len(list(tmp_path.glob("runs/*/curve.parquet"))) == 8)
+        victims, sleepers = (children(each.pid) for each in parents[:2])
+        for pid in sleepers:
+            os.kill(pid, signal.SIGSTOP)
+        for pid in (parents[0].pid, *victims):
+            os.kill(pid, signal.SIGKILL)
+        assert [each.wait(120) for each in parents[2:]] == [0, 0]
+        for pid in sleepers:
+            os.kill(pid, signal.SIGCONT)
+        assert parents[1].wait(60) == 0
+    layout, assigned = prepare(tmp_path, range(jobs), steps)
+    assert rows(tmp_path) == expected(range(jobs), steps)
+    assert sum(attempts(layout, assigned)) <= jobs + 4
+    for job in assigned:
+        log = layout.run(job.id).log.read_text()
+        assert len(re.findall(r"^--- done at step", log, re.MULTILINE)) == 1
+    assert not any(map(alive, (*victims, *sleepers)))
 
 
 @pytest.mark.slow

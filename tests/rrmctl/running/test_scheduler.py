@@ -121,6 +121,16 @@ def test_a_job_elsewhere_takes_no_slot_and_is_waited_for() -> None:
     assert scheduler.exit_code() is Exit.DONE
 
 
+def test_what_failed_elsewhere_is_not_tried_again() -> None:
+    """There it was tried as often as it should be, and here it may not even have been begun."""
+    scheduler = Scheduler("ab", slots=1)
+    assert scheduler.end("a", failed(ErrorKind.CRASHED)) is Phase.FAILED
+    start_all(scheduler)
+    scheduler.end("b", ELSEWHERE)
+    assert scheduler.end("b", failed(ErrorKind.CRASHED)) is Phase.FAILED
+    assert scheduler.exit_code() is Exit.FAILED
+
+
 def test_a_job_ends_once() -> None:
     """Being told twice is a mistake of the caller's, not a second result."""
     scheduler = Scheduler("a", slots=1)

@@ -63,15 +63,16 @@ class Storm:
 
     def survive(self, *readers: Callable[[], object]) -> None:
         """Run it under fire: all end, none twice, every row is there, and no reader sees an error."""
+        watcher = Record()
         pool = Pool(
-            layout=self.layout, assignments=self.assigned, slots=WORKERS, watcher=Record(), retries=10, command=COMMAND
+            layout=self.layout, assignments=self.assigned, slots=WORKERS, watcher=watcher, retries=10, command=COMMAND
         )  # fmt: skip
         began, cpu = time.monotonic(), _children_cpu_s()
         with endlessly(self.kill_one, *readers) as errors:
             code = pool.run()
             self.wall_s, self.cpu_s = time.monotonic() - began, _children_cpu_s() - cpu
         assert errors == []
-        assert code is Exit.DONE
+        assert code is Exit.DONE, watcher.errors
         assert rows(self.root) == expected(range(self.jobs), self.steps, self.every)
         assert self.killed > 5
         assert self.jobs <= sum(map(self._attempts_of_one_end, self.assigned)) <= self.jobs + self.killed

@@ -72,11 +72,12 @@ def test_a_finished_run_is_left_alone(folder: RunFolder) -> None:
 
 
 def test_fresh_removes_what_the_run_holds(folder: RunFolder) -> None:
-    """The attempt goes on counting, the provenance begins anew."""
+    """The attempt goes on counting, the provenance begins anew. Two who ask for it at once get it once."""
     work(folder)
-    assert work(folder, "--fresh") is WorkerExit.DONE
-    assert read_status(folder).attempt == 2
-    assert json.loads(folder.provenance.read_text())["resumed"] == []
+    for _ in range(2):
+        assert work(folder, "--fresh", "1") is WorkerExit.DONE
+        assert read_status(folder).attempt == 2
+        assert json.loads(folder.provenance.read_text())["resumed"] == []
 
 
 def test_a_removal_that_was_cut_short_is_completed(folder: RunFolder) -> None:
@@ -213,6 +214,15 @@ def test_before_training_begins_a_stop_is_obeyed_at_once(folder: RunFolder, *, s
     status = read_status(folder)
     assert (status.state, status.error) == (State.INTERRUPTED, None)
     assert not is_locked(folder.lock)
+    assert work(folder) is WorkerExit.DONE
+
+
+def test_a_crash_leaves_the_run_to_whoever_comes_next(folder: RunFolder, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It has not failed for good: its parent may be gone before it can try again."""
+    monkeypatch.setenv("STANDIN", '{"other": "crash-once"}')
+    assert work(folder) is WorkerExit.CRASHED
+    status = read_status(folder)
+    assert (status.state, str(status.error)) == (State.INTERRUPTED, "RuntimeError: boom, but once")
     assert work(folder) is WorkerExit.DONE
 
 

@@ -1,0 +1,85 @@
+"""Output that a sweep can do without: where it cannot be written, the sweep goes on, and obeys signals all the while.
+
+A terminal may be stopped (Ctrl-S), the reader of a pipe may sleep or be gone, the disk behind a redirection full.
+"""
+
+from __future__ import annotations
+
+import atexit
+import contextlib
+import io
+import os
+import queue
+import sys
+import threading
+import time
+from typing import TextIO
+
+import typer
+
+#: Pieces of text that wait to be written; further ones are dropped.
+_WAITING = 10_000
+#: How long what waits may take to be written at the end, seconds.
+_LAST_S = 2.0
+
+
+class Screen(io.TextIOBase):
+    """A text stream whose writer neither waits nor fails: a thread passes on what it is given, as far as it can.
+
+    Args:
+        stream: one with a file descriptor; used for that and its encoding.
+    """
+
+    def __init__(self, stream: TextIO) -> None:
+        self._descriptor = stream.fileno()
+        self._encoding = stream.encoding
+        self._waiting: queue.Queue[str] = queue.Queue(_WAITING)
+        threading.Thread(target=self._pass_on, daemon=True).start()
+        atexit.register(self.drain)
+
+    @property
+    def encoding(self) -> str:  # type: ignore[override]
+        return self._encoding
+
+    def fileno(self) -> int:
+        return self._descriptor
+
+    def isatty(self) -> bool:
+        return os.isatty(self._descriptor)
+
+    def write(self, text: str) -> int:
+        with contextlib.suppress(queue.Full):
+            self._waiting.put_nowait(text)
+        return len(text)
+
+    def drain(self) -> None:
+        """Wait until all is written, or for two seconds."""
+        deadline = time.monotonic() + _LAST_S
+        while self._waiting.unfinished_tasks and time.monotonic() < deadline:
+            time.sleep(0.005)
+
+    def _pass_on(self) -> None:
+        # Not through Python's own stream: its lock, held by a thread that waits, would keep the process from ending.
+        while True:
+            data = self._waiting.get().encode(self._encoding, "backslashreplace")
+            with contextlib.suppress(OSError):
+                while data:
+                    data = data[os.write(self._descriptor, data) :]
+            self._waiting.task_done()
+
+
+def unfailing(stream: TextIO) -> TextIO:
+    """The stream as a `Screen`, unless it has no file descriptor (a test's)."""
+    try:
+        return Screen(stream)  # type: ignore[return-value]
+    except (OSError, ValueError):
+        return stream
+
+
+def tell(text: str) -> None:
+    """A line on standard output, which is given up where it takes none."""
+    try:
+        typer.echo(text)
+    except OSError:
+        with contextlib.suppress(OSError, ValueError):
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
