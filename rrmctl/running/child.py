@@ -34,6 +34,10 @@ _UNHEARD: dict[int, tuple[ErrorKind, str]] = {
 }
 
 
+#: Signals that people and their tools send; the others come from what the process did itself.
+_SENT = frozenset({signal.SIGKILL, signal.SIGTERM, signal.SIGINT, signal.SIGHUP, signal.SIGQUIT})
+
+
 class Child:
     """The worker of one run. Its output goes to the run's log.
 
@@ -58,6 +62,7 @@ class Child:
         self.ended_for: RunError | None = None  #: why its parent ended it
         self.open = True  #: its pipe is
         self._text = b""  # of a line that is not complete
+        self._memory_kills = _killed_for_memory()
         reading, writing = os.pipe()
         try:
             self._process = _start(layout, job, [*command, str(layout.root), job, *options], writing, threads)
@@ -155,10 +160,21 @@ class Child:
             return RunError(kind=kind, type=kind.capitalize(), message=f"{told}; its log says more")
         if code >= 0:
             return RunError(kind=ErrorKind.CRASHED, type="Exit", message=f"left with exit code {code}")
-        told = f"killed by signal {-code}"
-        if -code == signal.SIGKILL:
-            told += ", by somebody or by the system for want of memory"
-        return RunError(kind=ErrorKind.KILLED, type=_signal_name(-code), message=told)
+        kind, told = ErrorKind.CRASHED, f"killed by signal {-code}"
+        if -code == signal.SIGKILL and _killed_for_memory() > self._memory_kills:
+            kind, told = ErrorKind.MEMORY, "killed by the system for want of memory"
+        elif -code in _SENT:
+            kind, told = ErrorKind.KILLED, f"{told} from outside"
+        return RunError(kind=kind, type=_signal_name(-code), message=told)
+
+
+def _killed_for_memory() -> int:
+    """Processes that the system has ended for want of memory since it was started; 0 where it does not say."""
+    try:
+        counts = dict(line.split() for line in Path("/proc/vmstat").read_text().splitlines())
+        return int(counts["oom_kill"])
+    except (OSError, ValueError, KeyError):
+        return 0
 
 
 def _message(line: bytes) -> dict[str, Any]:

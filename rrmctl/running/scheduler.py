@@ -45,6 +45,9 @@ class Outcome:
 #: Failures worth another attempt. The others would fail again in the same way.
 RETRIED = frozenset({ErrorKind.CRASHED, ErrorKind.KILLED, ErrorKind.HUNG, ErrorKind.MEMORY})
 
+#: How often a job is tried again that somebody killed, without a further evaluation in between: that is not its fault.
+KILLS = 100
+
 
 class Scheduler:
     """The jobs of one command.
@@ -70,6 +73,7 @@ class Scheduler:
         self._slots = slots
         self._retries = retries
         self._crashes: Counter[str] = Counter()
+        self._kills: Counter[str] = Counter()
         self._rows: dict[str, int] = {}
         self._elsewhere: set[str] = set()
         self._running = 0
@@ -93,7 +97,7 @@ class Scheduler:
     def resumed(self, job: str, rows: int) -> None:
         """The attempt began with so many evaluations; more than the one before it forgives earlier crashes."""
         if rows > self._rows.get(job, 0):
-            self._crashes[job] = 0
+            self._crashes[job] = self._kills[job] = 0
         self._rows[job] = rows
 
     def end(self, job: str, outcome: Outcome) -> Phase:
@@ -173,10 +177,10 @@ class Scheduler:
             return Phase.STOPPED
         if error.kind not in RETRIED:
             return Phase.FAILED
-        self._crashes[job] += 1
-        if self._crashes[job] > self._retries:
-            return Phase.FAILED
-        return Phase.WAITING
+        killed = error.kind is ErrorKind.KILLED
+        count, most = (self._kills, KILLS) if killed else (self._crashes, self._retries)
+        count[job] += 1
+        return Phase.FAILED if count[job] > most else Phase.WAITING
 
     def _enter(self, job: str, phase: Phase) -> None:
         self._phase[job] = phase

@@ -41,7 +41,7 @@ class ErrorKind(StrEnum):
 
     REFUSED = "refused"  #: a mistake in what it was given; the same again would fail again
     CRASHED = "crashed"  #: an exception nobody foresaw
-    KILLED = "killed"  #: ended by a signal
+    KILLED = "killed"  #: ended by a signal from outside
     HUNG = "hung"  #: gave no sign of life and was ended
     MEMORY = "memory"  #: took more memory than it may and was ended
     STORAGE = "storage"  #: the results folder took no write

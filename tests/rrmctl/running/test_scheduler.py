@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rrmctl.errors import Exit
-from rrmctl.running.scheduler import Ending, Outcome, Phase, Scheduler
+from rrmctl.running.scheduler import KILLS, Ending, Outcome, Phase, Scheduler
 from rrmctl.store.records import ErrorKind, RunError
 
 DONE, STOPPED, ELSEWHERE = (Outcome(ending) for ending in (Ending.DONE, Ending.STOPPED, Ending.ELSEWHERE))
@@ -44,7 +44,7 @@ def test_all_done_is_exit_0() -> None:
     assert scheduler.exit_code() is Exit.DONE
 
 
-@pytest.mark.parametrize("kind", [ErrorKind.CRASHED, ErrorKind.KILLED, ErrorKind.HUNG, ErrorKind.MEMORY])
+@pytest.mark.parametrize("kind", [ErrorKind.CRASHED, ErrorKind.HUNG, ErrorKind.MEMORY])
 def test_a_crash_is_tried_again_behind_the_others_and_not_for_ever(kind: ErrorKind) -> None:
     """Two retries: the third crash is the end, and costs no other job."""
     scheduler = Scheduler("ab", slots=1)
@@ -66,17 +66,28 @@ def test_a_mistake_is_not_tried_again() -> None:
 
 
 def test_progress_forgives_crashes() -> None:
-    """A job that keeps being killed but comes further every time is never given up; one that repeats itself is."""
+    """A job that keeps crashing but comes further every time is never given up; one that repeats itself is."""
     scheduler = Scheduler("a", slots=1)
     for rows in range(10):
         start_all(scheduler)
         scheduler.resumed("a", rows)
-        assert scheduler.end("a", failed(ErrorKind.KILLED)) is Phase.WAITING
+        assert scheduler.end("a", failed(ErrorKind.CRASHED)) is Phase.WAITING
     for _ in range(2):
         start_all(scheduler)
         scheduler.resumed("a", 9)
-        last = scheduler.end("a", failed(ErrorKind.KILLED))
+        last = scheduler.end("a", failed(ErrorKind.CRASHED))
     assert last is Phase.FAILED
+
+
+def test_being_killed_is_not_the_job_s_fault() -> None:
+    """Somebody who kills what they can find must go on for long before a job is given up; its own crashes count."""
+    scheduler = Scheduler("a", slots=1)
+    for _ in range(KILLS):
+        start_all(scheduler)
+        assert scheduler.end("a", failed(ErrorKind.KILLED)) is Phase.WAITING
+    for expected in (Phase.WAITING, Phase.WAITING, Phase.FAILED):
+        start_all(scheduler)
+        assert scheduler.end("a", failed(ErrorKind.CRASHED)) is expected
 
 
 def test_a_full_disk_stops_the_sweep_without_failing_anything() -> None:
