@@ -27,6 +27,9 @@ DEFAULT = (
     "toy-car --profile smoke --seeds 1 --prior language",
 )
 
+#: What must never happen.
+NEVER = ("mismatches", "lost", "twice", "orphans", "wrong ends", "readers")
+
 
 def main() -> int:
     """Run the soak and print one line a sweep, then the sums."""
@@ -35,7 +38,7 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=None, help="of the faults; by default another each time")
     parser.add_argument("--sweep", action="append", help="arguments of rrmctl run; may be repeated")
     parser.add_argument("--once", action="store_true", help="attack every sweep once, however long it takes")
-    parser.add_argument("--pause", type=float, default=4.0, help="mean time between faults, seconds")
+    parser.add_argument("--pause", type=float, default=3.0, help="mean time between faults, seconds")
     given = parser.parse_args()
     seed = random.SystemRandom().randrange(2**32) if given.seed is None else given.seed
     print(f"faults from seed {seed}")
@@ -56,13 +59,16 @@ def main() -> int:
             turn += 1
             if not given.once:
                 shutil.rmtree(loud)
-    print(f"{turn} sweeps: {told(totals)}")
-    return int(any(totals[name] for name in ("mismatches", "lost", "twice", "orphans")))
+    resumes = totals["starts"] - turn
+    print(
+        f"{turn} sweeps, {totals['jobs']} jobs, {totals['kills']} processes killed, {resumes} resumes: {told(totals)}"
+    )
+    return int(any(totals[name] for name in NEVER))
 
 
 def told(found: Counter[str]) -> str:
     """Counts in one line; what must be zero is always named."""
-    names = dict.fromkeys(("mismatches", "lost", "twice", "orphans", *found))
+    names = dict.fromkeys((*NEVER, *found))
     return ", ".join(f"{found[name]} {name}" for name in names)
 
 

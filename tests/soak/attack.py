@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import hashlib
 import random
-import subprocess
 import time
 from collections import Counter
 
 from rrmctl.store.layout import Layout
-from tests.soak.faults import FAULTS, Program
-from tests.soak.sweep import Curve, Sweep
+from tests.soak.faults import FAULTS, Arena
+from tests.soak.readers import Readers
+from tests.soak.sweep import Sweep
 
 #: Workers whose parent is gone look for it twice a second and checkpoint before they leave.
 ORPHAN_S = 30.0
@@ -22,51 +22,52 @@ def attacked(sweep: Sweep, rng: random.Random, pause_s: float) -> Counter[str]:
     """See a sweep through to its end in spite of random faults, `pause_s` seconds apart on average.
 
     Returns:
-        Faults by name, `starts` of the program, evaluations `lost` that had been on disk, and `orphans`.
+        Faults by name, processes killed (`kills`), `starts` of the program; evaluations `lost` that had been seen,
+        errors that `readers` met, programs that ended otherwise than they should (`wrong ends`), and `orphans`.
     """
-    found: Counter[str] = Counter()
-    known: dict[str, Curve] = {}
-    program = sweep.start()
-    found["starts"] += 1
-    while True:
-        ended = waited(program, rng.expovariate(1 / pause_s) if sum(found.values()) < MOST else None)
-        if ended is not None and ended == 0:
-            break
-        if ended is None:
-            (fault,) = rng.choices(list(FAULTS), list(FAULTS.values()))
-            fault(sweep, program, rng)
-            found[fault.__name__] += 1
-        if program.poll() is not None and program.returncode != 0:
-            now = sweep.curves()
-            found["lost"] += sum(now.get(run, ())[: len(curve)] != curve for run, curve in known.items())
-            known = now
-            program = sweep.start()
-            found["starts"] += 1
+    arena, attacks, done = Arena(sweep, rng), 0, False
+    with Readers(sweep, arena.found):
+        while not done or arena.programs:
+            if not arena.programs:
+                arena.start()
+            until = time.monotonic() + rng.expovariate(1 / pause_s)
+            while arena.programs and (attacks >= MOST or time.monotonic() < until):
+                time.sleep(0.05)
+                arena.wake(everyone=attacks >= MOST)
+                done |= _reap(arena)
+            if arena.programs and attacks < MOST:
+                (fault,) = rng.choices(list(FAULTS), list(FAULTS.values()))
+                fault(arena)
+                arena.found[fault.__name__] += 1
+                attacks += 1
+        arena.wake(everyone=True)
     deadline = time.monotonic() + ORPHAN_S
     while (left := sweep.workers()) and time.monotonic() < deadline:
         time.sleep(0.1)
-    found["orphans"] += len(left)
-    return found
+    arena.found["orphans"] += len(left)
+    return arena.found
+
+
+def _reap(arena: Arena) -> bool:
+    """Take note of programs that have ended; True if one found that all is done."""
+    ended = [program for program in arena.programs if program.poll() is not None]
+    for program in ended:
+        del arena.programs[program]
+        # 1: a job failed, which none of these do. Killed ones, and those that were asked to leave, are started again.
+        arena.found["wrong ends"] += program.returncode == 1
+    return any(program.returncode == 0 for program in ended)
 
 
 def compared(quiet: Sweep, loud: Sweep) -> Counter[str]:
     """`jobs` of the attacked sweep, `mismatches` with the undisturbed one, and runs that ended `twice`."""
     found: Counter[str] = Counter()
-    undisturbed = quiet.curves()
-    for run, curve in loud.curves().items():
+    undisturbed, curves = quiet.curves(), loud.curves()
+    for run in loud.runs():
         found["jobs"] += 1
-        same = curve == undisturbed.get(run) and _networks(quiet, run) == _networks(loud, run)
+        same = curves.get(run) == undisturbed.get(run) and _networks(quiet, run) == _networks(loud, run)
         found["mismatches"] += not same
     found["twice"] += len(loud.finished_twice())
     return found
-
-
-def waited(program: Program, seconds: float | None) -> int | None:
-    """The exit code of a program that ends within this time; None if it goes on."""
-    try:
-        return int(program.wait(seconds))
-    except subprocess.TimeoutExpired:
-        return None
 
 
 def _networks(sweep: Sweep, run: str) -> str | None:

@@ -31,7 +31,7 @@ class Sweep:
     def start(self) -> subprocess.Popen[bytes]:
         """The program, in a session of its own, its output in a file of the results folder."""
         self.results.mkdir(parents=True, exist_ok=True)
-        command = [*PROGRAM, "run", *self.arguments, "--retry-failed", "--yes", "--results", str(self.results)]
+        command = [*PROGRAM, "run", *self.arguments, "--yes", "--results", str(self.results)]
         with (self.results / "output.txt").open("ab") as output:
             return subprocess.Popen(
                 command, start_new_session=True, stdin=subprocess.DEVNULL, stdout=output, stderr=subprocess.STDOUT
@@ -57,13 +57,17 @@ class Sweep:
             pid for pid, command in processes() if "rrmctl.running.worker" in command and str(self.results) in command
         ]
 
+    def runs(self) -> list[str]:
+        """Ids of all runs."""
+        return Layout(self.results).run_ids()
+
     def curves(self) -> dict[str, Curve]:
         """What the store holds now of every run."""
         found = {}
-        for folder in sorted((self.results / "runs").glob("*")):
-            table = read_curve(Layout(self.results).run(folder.name))
+        for run in self.runs():
+            table = read_curve(Layout(self.results).run(run))
             rows = [] if table is None else table.drop_columns(list(TIMINGS)).to_pylist()
-            found[folder.name] = tuple(repr(sorted(row.items())) for row in rows)
+            found[run] = tuple(repr(sorted(row.items())) for row in rows)
         return found
 
     def finished_twice(self) -> list[str]:

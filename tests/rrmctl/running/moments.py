@@ -3,7 +3,7 @@
     python -m tests.rrmctl.running.moments ROOT STRIDE
 
 Every attempt is a process of its own, forked from this one so that nothing is imported twice. Python tells its audit
-hooks of a file operation just before it happens; there the process is killed with SIGKILL. Prints what was found as JSON.
+hooks of a file operation just before it happens; there the process is killed. Prints what was found as JSON.
 """
 
 from __future__ import annotations
@@ -58,9 +58,9 @@ def _executioner(kill_at: int) -> Any:
     seen = itertools.count()
 
     def look(event: str, args: tuple[Any, ...]) -> None:
-        if event in _OPERATIONS or (event == "open" and args[2] & _WRITES):
-            if next(seen) == kill_at:
-                os.kill(os.getpid(), signal.SIGKILL)
+        writes = event in _OPERATIONS or (event == "open" and args[2] & _WRITES)
+        if writes and next(seen) == kill_at:
+            os.kill(os.getpid(), signal.SIGKILL)
 
     return look
 
@@ -113,4 +113,4 @@ def examine(root: Path, stride: int) -> Found:
 
 
 if __name__ == "__main__":
-    print(json.dumps(vars(examine(Path(sys.argv[1]), int(sys.argv[2])))))
+    sys.stdout.write(json.dumps(vars(examine(Path(sys.argv[1]), int(sys.argv[2])))))
