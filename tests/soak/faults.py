@@ -17,7 +17,7 @@ from tests.soak.sweep import Sweep
 Program = subprocess.Popen[bytes]
 Fault = Callable[["Arena"], None]
 
-#: Time a program has to leave in good order, seconds: its workers have a minute to checkpoint, a stopped one uses it up.
+#: Time a program has to leave in good order, seconds: its workers have a minute to checkpoint, a frozen one uses it.
 LEAVE_S = 90.0
 #: A signal this soon after the start may meet Python itself, which ends there and then: nothing was begun.
 STARTING_S = 4.0
