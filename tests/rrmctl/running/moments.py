@@ -1,6 +1,6 @@
-"""Kills a worker at each of its file operations in turn, and lets another end the run.
+"""Kills a worker, and the program itself, at each file operation in turn, and lets another go on.
 
-    python -m tests.rrmctl.running.moments ROOT STRIDE
+    python -m tests.rrmctl.running.moments worker|command ROOT STRIDE
 
 Every attempt is a process of its own, forked from this one so that nothing is imported twice. Python tells its audit
 hooks of a file operation just before it happens; there the process is killed. Prints what was found as JSON.
@@ -18,11 +18,17 @@ import signal
 import sys
 import threading
 import time
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import pandas as pd
+from typer.testing import CliRunner
+
 from rrm.training import jobs
+from rrmctl.cli.app import app
+from rrmctl.errors import Exit
 from rrmctl.running.worker import WorkerExit, main
 from rrmctl.store.layout import RunFolder
 from tests.rrmctl.running.test_torn import numbers, prepared, work
@@ -41,17 +47,22 @@ class Found:
     twice: list[int] = field(default_factory=list)  #: ... or was trained to its end twice
 
 
-def attempt(folder: RunFolder, kill_at: int | None = None) -> int:
-    """The exit code of one worker; it is killed at its operation of this number, counted from 0."""
+def forked(action: Callable[[], int], output: Path, kill_at: int | None = None) -> int:
+    """The exit code of a process that does this; it is killed at its operation of this number, counted from 0."""
     child = os.fork()
     if child == 0:
-        with folder.path.joinpath("output").open("ab") as output:
-            os.dup2(output.fileno(), 1)
-            os.dup2(output.fileno(), 2)
+        with output.open("ab") as file:
+            os.dup2(file.fileno(), 1)
+            os.dup2(file.fileno(), 2)
         if kill_at is not None:
             sys.addaudithook(_executioner(kill_at))
-        os._exit(main([str(folder.path.parents[1]), folder.id], jobs))
+        os._exit(action())
     return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+
+
+def attempt(folder: RunFolder, kill_at: int | None = None) -> int:
+    """The exit code of one worker."""
+    return forked(lambda: main([str(folder.path.parents[1]), folder.id], jobs), folder.path / "output", kill_at)
 
 
 def _executioner(kill_at: int) -> Any:
@@ -112,5 +123,36 @@ def examine(root: Path, stride: int) -> Found:
     return found
 
 
+def command(results: Path) -> int:
+    """The exit code of `rrmctl run` on these results."""
+    sweep = ("toy-car", "--profile", "smoke", "--seeds", "2", "--methods", "oracle")
+    return CliRunner().invoke(app, ["run", *sweep, "--results", str(results)]).exit_code
+
+
+def examine_command(root: Path, stride: int) -> Found:
+    """The program killed while it records a sweep whose runs are done, and while it sums them up."""
+    quiet, loud, output, found = root / "quiet", root / "loud", root / "output", Found()
+    assert command(quiet) == Exit.DONE
+    for kill_at in itertools.count(0, stride):
+        shutil.copytree(quiet / "runs", loud / "runs", ignore=shutil.ignore_patterns("config.json"))
+        if forked(lambda: command(loud), output, kill_at) != -signal.SIGKILL:
+            return found
+        found.kills += 1
+        if forked(lambda: command(loud), output) != Exit.DONE:
+            found.unfinished.append(kill_at)
+        elif told(loud) != told(quiet):
+            found.different.append(kill_at)
+        shutil.rmtree(loud)
+    raise AssertionError("unreachable")
+
+
+def told(results: Path) -> dict[str, str]:
+    """What the program writes itself: every configuration, the sweep and the aggregate."""
+    texts = {str(path.relative_to(results)): path.read_text() for path in results.rglob("*/*.json")
+             if path.name != "status.json"}  # fmt: skip
+    return texts | {path.name: str(pd.read_parquet(path).to_dict()) for path in results.glob("aggregates/*.parquet")}
+
+
 if __name__ == "__main__":
-    sys.stdout.write(json.dumps(vars(examine(Path(sys.argv[1]), int(sys.argv[2])))))
+    what = {"worker": examine, "command": examine_command}[sys.argv[1]]
+    sys.stdout.write(json.dumps(vars(what(Path(sys.argv[2]), int(sys.argv[3])))))
