@@ -118,7 +118,7 @@ def examine(root: Path, stride: int) -> Found:
     for kill_at in itertools.count(0, stride):
         if not killed_at(root / "killed", kill_at, undisturbed, found):
             break
-    for seed in range(1, 6):
+    for seed in range(1, 21):
         killed_again_and_again(root / f"again-{seed}", seed, undisturbed, found)
     return found
 
