@@ -108,6 +108,8 @@ def file_digest(path: Path, name: str) -> str:
         ConfigError: it cannot be read.
     """
     try:
+        if path.exists() and not path.is_file():  # a device may have no end
+            raise ConfigError(f"cannot read {path} (named by {name!r}): not a file")
         return hashlib.sha256(path.read_bytes()).hexdigest()
     except OSError as error:
         raise ConfigError(f"cannot read {path} (named by {name!r}): {error.strerror}") from error
@@ -117,7 +119,11 @@ def _located(name: str, kind: str) -> tuple[Path, str]:
     """File and attribute of `file.py:attribute`."""
     location, _, attribute = name.rpartition(":")
     path = Path(location)
-    if not path.is_file():
+    try:
+        there = path.is_file()
+    except OSError as error:
+        raise ConfigError(f"{kind} {name!r}: {path.absolute()}: {error.strerror}") from None
+    if not there:
         raise ConfigError(f"{kind} {name!r}: there is no file {path.absolute()}")
     return path, attribute
 

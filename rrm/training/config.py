@@ -41,6 +41,9 @@ _S = TypeVar("_S", bound=Section)
 #: Raised by one when the same configuration would give other numbers than before.
 CONFIG_VERSION = 2
 
+#: A hundred times the paper's. Each trains on all labels so far, and planning counts them one by one.
+_MOST_SESSIONS = 10_000
+
 
 class RunConfig(Section):
     """One run. Two runs with equal configurations are the same run."""
@@ -105,6 +108,14 @@ class RunConfig(Section):
                 f"steps: the run ends at {self.steps}, before the first feedback at {self.first_session} "
                 "(random and unsupervised steps, and two complete episodes, come first)"
             )
+        self._sessions_end()
+
+    def _sessions_end(self) -> None:
+        assert self.feedback is not None  # the configuration has checked it
+        steps, every, budget = self.steps - self.first_session, self.feedback.every, self.feedback.budget
+        most = min(-(-steps // every), budget)
+        if most > _MOST_SESSIONS:
+            raise ConfigError(f"feedback.every: {most:,} sessions; a run has at most {_MOST_SESSIONS:,}")
 
     def _learner_fits(self, segment: int) -> None:
         surf, every, updates = self.reward.surf, self.reward.mrn.every, self.agent.update_every

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import re
 from typing import Annotated, Any
 
 import typer
@@ -17,6 +18,11 @@ from rrmctl.errors import Exit, UserError
 #: Conditions of the machine rather than bugs of the program.
 _MACHINE = {errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOSPC, errno.EDQUOT}
 
+#: Names that no file can have.
+_NAMES = {errno.ENAMETOOLONG, errno.ELOOP}
+
+_CONTROL = re.compile(r"[\x00-\x09\x0b-\x1f\x7f-\x9f]")
+
 
 class _Commands(TyperGroup):
     """The group of all commands; what goes wrong for a reason the user can act on is said in one message."""
@@ -29,26 +35,32 @@ class _Commands(TyperGroup):
         except RrmError as error:
             _say(str(error), None)
         except OSError as error:
-            if error.errno not in _MACHINE:
+            if error.errno not in _MACHINE | _NAMES:
                 raise
-            _say(
-                f"{error.filename or 'the file system'}: {error.strerror}", "free space or choose another --results DIR"
-            )
+            hint = "free space or choose another --results DIR" if error.errno in _MACHINE else None
+            _say(f"{error.filename or 'the file system'}: {error.strerror}", hint)
         except KeyboardInterrupt:
             raise typer.Exit(Exit.INTERRUPTED) from None
         raise typer.Exit(Exit.USAGE)
 
 
 def _say(message: str, hint: str | None) -> None:
-    """Print to standard error: in colour where somebody looks at a terminal that wants it, plain text elsewhere."""
+    """Print to standard error: in colour where somebody looks at a terminal that wants it, plain text elsewhere.
+
+    Control characters of what was given are spelled out: they would be the terminal's to obey.
+    """
     from rich.console import Console
     from rich.text import Text
 
     console = Console(stderr=True, highlight=False, soft_wrap=True)
     with contextlib.suppress(OSError):  # the exit code still tells
-        console.print(Text.assemble(("error: ", "bold red"), message))
+        console.print(Text.assemble(("error: ", "bold red"), _spelled(message)))
         if hint:
-            console.print(Text.assemble(("hint: ", "bold cyan"), hint))
+            console.print(Text.assemble(("hint: ", "bold cyan"), _spelled(hint)))
+
+
+def _spelled(text: str) -> str:
+    return _CONTROL.sub(lambda sign: repr(sign[0])[1:-1], text)
 
 
 app = typer.Typer(

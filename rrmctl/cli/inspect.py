@@ -101,11 +101,12 @@ def plan(
     """
     from rrmctl.machine import usable_cores
     from rrmctl.planning.notes import notes
-    from rrmctl.store.layout import Layout
+    from rrmctl.store.reader import new_results
 
     request = Request(name, experiments, profile, seeds, tasks, methods, overrides, prior)
+    layout = new_results(results)
     planned = request.plan()
-    expected = forecast(planned, Layout(results))
+    expected = forecast(planned, layout)
     if as_json:
         typer.echo(json.dumps(_as_json(expected), indent=2))
         return
@@ -205,7 +206,11 @@ def doctor(
 
 
 def _console() -> Console:
-    """Standard output; unlimited in width where it is read by a program, so that no name is cut."""
+    """Standard output; unlimited in width where it is read by a program, so that no name is cut.
+
+    Texts of manifests are shown as they are: neither brackets nor colons in them mean anything.
+    """
     from rich.console import Console
 
-    return Console(width=None if sys.stdout.isatty() else 200, highlight=False, soft_wrap=True)
+    width = None if sys.stdout.isatty() else 200
+    return Console(width=width, highlight=False, soft_wrap=True, markup=False, emoji=False)

@@ -276,7 +276,7 @@ def _progress_console() -> Console:
 
     from rrmctl.cli.screen import unfailing
 
-    return Console(file=unfailing(sys.stderr), highlight=False)
+    return Console(file=unfailing(sys.stderr), highlight=False, markup=False, emoji=False)
 
 
 def _asks() -> bool:

@@ -272,4 +272,5 @@ def _console() -> Console:
     from rich.console import Console
 
     # Wide where nobody looks: what another program reads should not be folded.
-    return Console(highlight=False, width=None if sys.stdout.isatty() else 200)
+    width = None if sys.stdout.isatty() else 200
+    return Console(width=width, highlight=False, markup=False, emoji=False)

@@ -23,7 +23,7 @@ from rrmctl.errors import UserError
 from rrmctl.planning.grid import Row
 from rrmctl.planning.manifest import DEFAULT_FEEDBACK, Manifest, nearest
 from rrmctl.planning.methods import TASK, Method
-from rrmctl.planning.profiles import PAPER, Kind, Layer, profile, profiles
+from rrmctl.planning.profiles import PAPER, Kind, Layer, profiles
 from rrmctl.planning.settings import AMOUNTS, Checked, flatten, resolve
 
 Flat = dict[str, Any]
@@ -130,7 +130,7 @@ def _teacher(manifest: Manifest, name: str) -> Layer:
 
 @cache
 def _profile_settings(scale: str, task: str, kind: Kind) -> tuple[tuple[Layer, Flat], ...]:
-    return tuple((layer, flatten(layer)) for layer in profile(scale).layers(TASKS[task].suite, task, kind))
+    return tuple((layer, flatten(layer)) for layer in profiles()[scale].layers(TASKS[task].suite, task, kind))
 
 
 @cache

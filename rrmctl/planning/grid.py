@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -12,6 +13,9 @@ from rrmctl.planning.profiles import Layer
 
 #: The axes of a grid in the order in which rows vary, the last one fastest, and what a row calls its value.
 AXES: dict[Axis, str] = {"tasks": "task", "methods": "method", "teachers": "teacher", "feedback": "feedback"}
+
+
+_MOST_ROWS = 5000
 
 
 @dataclass(frozen=True)
@@ -30,14 +34,20 @@ def rows_of(manifest: Manifest) -> list[Row]:
     """Every row, in the manifest's order.
 
     Raises:
-        UserError: paired axes differ in length, an exclude matches nothing, or leaves nothing.
+        UserError: paired axes differ in length, an exclude matches nothing, or leaves nothing, or there are too many.
     """
     several = len(manifest.grids) > 1
     rows: dict[Row, None] = {}
     for number, grid in enumerate(manifest.grids, start=1):
         where = f"{manifest.path} [[grid]] {number}" if several else f"{manifest.path} [grid]"
         rows |= dict.fromkeys(_grid_rows(grid, where))
+        _refuse_many(len(rows), where)
     return list(rows)
+
+
+def _refuse_many(rows: int, where: str) -> None:
+    if rows > _MOST_ROWS:
+        raise UserError(f"{where}: {rows:,} rows; an experiment has at most {_MOST_ROWS:,}", "divide it into several")
 
 
 def _grid_rows(grid: Grid, where: str) -> list[Row]:
@@ -61,8 +71,10 @@ def _crossed(grid: Grid, where: str) -> Iterator[Row]:
         if len({len(values[axis]) for axis in group}) > 1:
             lengths = ", ".join(f"{len(values[axis])} {axis}" for axis in group)
             raise UserError(f"{where} zip: paired axes must be equally long; there are {lengths}")
+    sizes = [len(values[group[0]]) for group in groups]
+    _refuse_many(math.prod(sizes) * (1 + len(grid.include)), where)
     layer, own = Layer(f"{where} set", grid.set), Layer(f"{where} include", {})
-    for places in itertools.product(*(range(len(values[group[0]])) for group in groups)):
+    for places in itertools.product(*map(range, sizes)):
         at = {axis: values[axis][place] for group, place in zip(groups, places, strict=True) for axis in group}
         yield Row(at["tasks"], at["methods"], at["teachers"], at["feedback"], layer, own)
 

@@ -9,27 +9,51 @@ from __future__ import annotations
 
 import difflib
 import re
-import tomllib
+from collections import Counter
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, StrictInt, StringConstraints, ValidationError, field_validator
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    ConfigDict,
+    Field,
+    StrictInt,
+    StringConstraints,
+    ValidationError,
+    field_validator,
+)
 
-from rrmctl.errors import UserError
+from rrmctl.errors import UserError, shown
+from rrmctl.planning.toml import read_toml
 
 #: Settings of a run, as nested tables with the keys of `rrm.training.config.RunConfig`.
 Settings = dict[str, Any]
 
 Axis = Literal["tasks", "methods", "teachers", "feedback"]
 Text = Annotated[str, StringConstraints(strict=True, min_length=1, strip_whitespace=True)]
-Names = Annotated[tuple[Text, ...], Field(min_length=1)]
+Texts = Annotated[tuple[Text, ...], Field(min_length=1)]
+
+
+def _plain(name: str) -> str:
+    """A name that tables, file systems and command lines leave as it is."""
+    if not _NAME.fullmatch(name):
+        raise ValueError("a name is made of letters, digits and inner spaces or . _ + @ -, at most 100 in all")
+    return name
+
+
+Name = Annotated[Text, AfterValidator(_plain)]
+Names = Annotated[tuple[Name, ...], Field(min_length=1)]
+Sections = dict[Annotated[str, AfterValidator(_plain)], Settings]
 
 #: The teacher and the schedule of feedback that need no name in a manifest.
 DEFAULT_TEACHER = "oracle"
 DEFAULT_FEEDBACK = "default"
 
-_EXPERIMENT_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]*")
+_NAME = re.compile(r"\w([\w .+@-]{0,98}[\w.+@-])?")
+
+_EXPERIMENT_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,127}")  # it becomes a file's in the store
 
 
 class _Frozen(BaseModel):
@@ -39,10 +63,10 @@ class _Frozen(BaseModel):
 class Rows(_Frozen):
     """Some rows of a grid: those that agree with every name given here."""
 
-    task: Text | None = None
-    method: Text | None = None
-    teacher: Text | None = None
-    feedback: Text | None = None
+    task: Name | None = None
+    method: Name | None = None
+    teacher: Name | None = None
+    feedback: Name | None = None
 
 
 class Include(Rows):
@@ -66,7 +90,7 @@ class Grid(_Frozen):
     @field_validator("tasks", "methods", "teachers", "feedback")
     @classmethod
     def _distinct(cls, names: tuple[str, ...]) -> tuple[str, ...]:
-        twice = sorted({name for name in names if names.count(name) > 1})
+        twice = sorted(name for name, times in Counter(names).items() if times > 1)
         if twice:
             raise ValueError(f"named twice: {', '.join(twice)}")
         return names
@@ -75,7 +99,7 @@ class Grid(_Frozen):
     @classmethod
     def _paired_once(cls, groups: tuple[tuple[str, ...], ...]) -> tuple[tuple[str, ...], ...]:
         axes = [axis for group in groups for axis in group]
-        twice = sorted({axis for axis in axes if axes.count(axis) > 1})
+        twice = sorted(axis for axis, times in Counter(axes).items() if times > 1)
         if twice:
             raise ValueError(f"an axis can be paired once only: {', '.join(twice)}")
         return groups
@@ -95,17 +119,17 @@ class Manifest(_Frozen):
     name: str  #: the file's stem
     path: Path  #: where it was read from
     title: Text
-    reproduces: Names  #: figures and tables of the paper, or what else it is for
+    reproduces: Texts  #: figures and tables of the paper, or what else it is for
     rule: Text  #: one sentence: what is reported, and at which step
     default_profile: Text = "paper"  #: the scale when none is asked for
     seeds: StrictInt | tuple[StrictInt, ...] = 10  #: a number of seeds from 0 up, or a list of them
     grids: Annotated[tuple[Grid, ...], Field(min_length=1)]
     defaults: Settings = Field(default_factory=dict)  #: settings of every run
-    tasks: dict[str, Settings] = Field(default_factory=dict)  #: [task.NAME]
-    methods: dict[str, MethodTable] = Field(default_factory=dict)  #: [method.NAME]
-    teachers: dict[str, Settings] = Field(default_factory=dict)  #: [teacher.NAME]: keys of `TeacherConfig`
-    feedback: dict[str, Settings] = Field(default_factory=dict)  #: [feedback.NAME]: keys of `FeedbackConfig`
-    profiles: dict[str, Settings] = Field(default_factory=dict)  #: [profile.NAME]: taken as they stand, not scaled
+    tasks: Sections = Field(default_factory=dict)  #: [task.NAME]
+    methods: dict[Annotated[str, AfterValidator(_plain)], MethodTable] = Field(default_factory=dict)  #: [method.NAME]
+    teachers: Sections = Field(default_factory=dict)  #: [teacher.NAME]: keys of `TeacherConfig`
+    feedback: Sections = Field(default_factory=dict)  #: [feedback.NAME]: keys of `FeedbackConfig`
+    profiles: Sections = Field(default_factory=dict)  #: [profile.NAME]: taken as they stand, not scaled
 
 
 #: Keys and sections of a manifest, and the fields they fill where the two differ.
@@ -127,24 +151,6 @@ def refuse_unknown(table: Mapping[str, Any], known: Iterable[str], where: str) -
             raise UserError(f'{where}: unknown key "{key}"{nearest(key, names)}', f"known keys: {', '.join(names)}")
 
 
-def read_toml(path: Path) -> dict[str, Any]:
-    """The file's content.
-
-    Raises:
-        UserError: it cannot be read, or is not TOML; the message names file, line and column.
-    """
-    try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
-    except tomllib.TOMLDecodeError as error:
-        raise UserError(f"{path}: not valid TOML: {error}") from None
-    except UnicodeDecodeError as error:
-        raise UserError(f"{path}: not UTF-8 text: {error.reason} at byte {error.start}") from None
-    except RecursionError:
-        raise UserError(f"{path}: nested too deeply") from None
-    except OSError as error:
-        raise UserError(f"cannot read {path}: {error.strerror}") from None
-
-
 def load(path: Path) -> Manifest:
     """Read and check one manifest.
 
@@ -152,7 +158,9 @@ def load(path: Path) -> Manifest:
         UserError: unreadable file, unknown key, wrong type, empty list; the message names file and key.
     """
     if not _EXPERIMENT_NAME.fullmatch(path.stem):
-        raise UserError(f"{path}: an experiment's name is made of letters, digits, - and _", "rename the file")
+        raise UserError(
+            f"{path}: an experiment's name is made of letters, digits, - and _, at most 128 in all", "rename the file"
+        )
     return parse(read_toml(path), path)
 
 
@@ -176,7 +184,7 @@ def parse(table: Mapping[str, Any], path: Path) -> Manifest:
 
 def _check_grid(grid: Any, where: str) -> None:
     if not isinstance(grid, dict):
-        raise UserError(f"{where}: expected a table with tasks and methods, got {grid!r}")
+        raise UserError(f"{where}: expected a table with tasks and methods, got {shown(grid)}")
     refuse_unknown(grid, Grid.model_fields, where)
     for key, model in (("include", Include), ("exclude", Rows)):
         rows = grid.get(key, [])
@@ -206,7 +214,7 @@ def _explain(error: ValidationError, path: Path, seeds: Any) -> str:
     inside = {found["loc"][:depth] for found in mistakes for depth in range(len(found["loc"]))}
     for found in [found for found in mistakes if found["loc"] not in inside][:5]:  # the innermost say it all
         if found["loc"][0] == "seeds":  # one line for the number and the list that were tried
-            lines.append(f"{path}: seeds: expected a number or a list of integers; got {seeds!r}")
+            lines.append(f"{path}: seeds: expected a number or a list of integers; got {shown(seeds)}")
             continue
         key = _key([str(part) for part in found["loc"]])
         if found["type"] == "missing":
@@ -216,7 +224,7 @@ def _explain(error: ValidationError, path: Path, seeds: Any) -> str:
             lines.append(f"{path}: {key} is {'empty' if least == 1 else 'too short'}; name at least {least}")
         else:
             what = found["msg"].removeprefix("Value error, ").replace("tuple", "list")
-            lines.append(f"{path}: {key}: {what}; got {found['input']!r}")
+            lines.append(f"{path}: {key}: {what}; got {shown(found['input'])}")
     return "\n".join(dict.fromkeys(lines))
 
 
@@ -225,7 +233,7 @@ def _key(location: list[str]) -> str:
     top, *rest = location
     if top == "grids" and rest:
         return f"[grid] {'.'.join(rest[1:])}"
-    kinds = ("settings", "int", "tuple[int, ...]")
+    kinds = ("settings", "[key]", "int", "tuple[int, ...]")
     return ".".join([_SPELLED.get(top, top), *(part for part in rest if part not in kinds)])
 
 
@@ -241,7 +249,7 @@ def find(name: str, folder: Path) -> Path:
         return Path(name)
     names = {path.stem: path for path in available(folder)}
     if name not in names:
-        if Path(name).is_dir():
+        if name and Path(name).is_dir():
             raise UserError(f"{name} is a folder", "name an experiment of `rrmctl list`, or one manifest (*.toml)")
         raise UserError(f'no experiment "{name}" in {folder}{nearest(name, names)}', f"known: {', '.join(names)}")
     return names[name]

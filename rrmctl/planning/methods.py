@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -102,7 +103,7 @@ def _named(name: str, what: str, known: Mapping[str, str] | tuple[str, ...], fol
     """A name of ours as it is; a user's file with its whole path, so that it is found from any folder."""
     if is_file_reference(name):
         location, _, attribute = name.rpartition(":")
-        path = (folder / location).resolve()
+        path = os.path.realpath(folder / location)  # unlike Path.resolve, says nothing of links in a circle
         if TASK in location:
             return f"{path}:{attribute}"  # checked for each task
         try:

@@ -7,6 +7,7 @@ that differ in their feedback share it.
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -59,7 +60,7 @@ def _demonstrated(config: RunConfig, scale: str, folder: Path) -> tuple[Imitatio
     """The run's section with its demonstrations named, and the runs that make them where the user gave none."""
     imitation = config.imitation
     if imitation.demos is not None:
-        return imitation.model_copy(update={"demos": str((folder / imitation.demos).resolve())}), ()
+        return imitation.model_copy(update={"demos": os.path.realpath(folder / imitation.demos)}), ()
     expert = _resolved(config.task, scale, "true")
     demos = DemosConfig(
         profile=scale, task=config.task, expert=expert,

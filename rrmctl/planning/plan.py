@@ -5,13 +5,14 @@ from __future__ import annotations
 import hashlib
 import itertools
 import json
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from rrm.errors import RrmError
-from rrmctl.errors import UserError
+from rrmctl.errors import UserError, shown
 from rrmctl.planning.cells import check_names, check_sections, configure, feedback_label
 from rrmctl.planning.grid import AXES, Row, rows_of
 from rrmctl.planning.manifest import Manifest, nearest
@@ -21,6 +22,7 @@ from rrmctl.planning.profiles import profile as find_profile
 from rrmctl.planning.settings import check_assignments, parse_assignments
 
 _MOST_SEEDS = 10_000
+_MOST_RUNS = 50_000  # a minute of planning
 _LARGEST_SEED = 2**32 - 1
 
 
@@ -84,7 +86,7 @@ def make_plan(
     Raises:
         UserError: an unknown name or key, a wrong type, or settings that cannot be run together.
     """
-    scale = find_profile(profile or manifest.default_profile).name
+    scale = _scale(manifest, profile)
     settings = check_assignments(overrides) if isinstance(overrides, Mapping) else parse_assignments(overrides)
     numbers = parse_seeds(manifest.seeds, f"{manifest.path}: seeds") if seeds is None else parse_seeds(seeds, "--seeds")
     rows = rows_of(manifest)
@@ -94,6 +96,7 @@ def make_plan(
     added = _added(priors, known)
     beside = [replace(row, method=name) for row in rows for name in added]
     rows = list(dict.fromkeys([*_only(rows, "method", methods, manifest, added), *beside]))
+    _refuse_many(rows, numbers, manifest)
     cells, chains = [], []
     for row in rows:
         cell, chain = _cell(manifest, row, (known | added)[row.method], scale, settings)
@@ -110,6 +113,23 @@ def make_plan(
     )
 
 
+def _scale(manifest: Manifest, asked: str | None) -> str:
+    """The name of the profile that is asked for, else of the manifest's own default."""
+    if asked is not None:
+        return find_profile(asked, "--profile").name
+    return find_profile(manifest.default_profile, f"{manifest.path}: default_profile").name
+
+
+def _refuse_many(rows: Sequence[Row], seeds: Sequence[int], manifest: Manifest) -> None:
+    runs = len(rows) * len(seeds)
+    if runs > _MOST_RUNS:
+        raise UserError(
+            f"{manifest.path}: {len(seeds):,} seeds of {len(rows):,} rows are {runs:,} runs; "
+            f"a plan has at most {_MOST_RUNS:,}",
+            "ask for fewer --seeds, or for some --tasks or --methods",
+        )
+
+
 def parse_seeds(given: str | int | Sequence[int], where: str) -> list[int]:
     """Seeds out of "10" (0 to 9), "0,3,7", "4," (seed 4 alone), a number, or a list.
 
@@ -122,7 +142,7 @@ def parse_seeds(given: str | int | Sequence[int], where: str) -> list[int]:
         if parts[-1] == "" and len(parts) > 1:
             parts.pop()
         if not all(part.isascii() and part.removeprefix("-").isdigit() and len(part) < 20 for part in parts):
-            raise UserError(f'{where} "{given}": expected a number of seeds or a list of them', hint)
+            raise UserError(f"{where} {shown(given)}: expected a number of seeds or a list of them", hint)
         given = [int(part) for part in parts] if "," in given else int(parts[0])
     if isinstance(given, int):
         if not 1 <= given <= _MOST_SEEDS:
@@ -135,8 +155,9 @@ def parse_seeds(given: str | int | Sequence[int], where: str) -> list[int]:
     wrong = [seed for seed in given if not 0 <= seed <= _LARGEST_SEED]
     if wrong:
         raise UserError(f"{where}: seed {wrong[0]}; seeds lie between 0 and {_LARGEST_SEED}", hint)
-    if len(set(given)) < len(given):
-        raise UserError(f"{where}: seed {max(given, key=given.count)} is given twice", hint)
+    seed, times = Counter(given).most_common(1)[0]
+    if times > 1:
+        raise UserError(f"{where}: seed {seed} is given twice", hint)
     return list(given)
 
 

@@ -9,7 +9,8 @@ from pathlib import Path
 from typing import Any, Literal
 
 from rrmctl.errors import UserError
-from rrmctl.planning.manifest import Settings, nearest, read_toml, refuse_unknown
+from rrmctl.planning.manifest import Settings, nearest, refuse_unknown
+from rrmctl.planning.toml import read_toml
 
 PATH = Path(__file__).with_name("profiles.toml")
 
@@ -68,13 +69,13 @@ def profiles() -> dict[str, Profile]:
     return found
 
 
-def profile(name: str) -> Profile:
-    """The profile of this name.
+def profile(name: str, where: str) -> Profile:
+    """The profile of this name, which `where` asks for.
 
     Raises:
         UserError: there is none; the message suggests the nearest.
     """
     known = profiles()
     if name not in known:
-        raise UserError(f'unknown profile "{name}"{nearest(name, known)}', f"known: {', '.join(known)}")
+        raise UserError(f'{where}: unknown profile "{name}"{nearest(name, known)}', f"known: {', '.join(known)}")
     return known[name]

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import re
-import tomllib
 import types
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
@@ -16,9 +15,10 @@ from pydantic.fields import FieldInfo
 
 from rrm.errors import RrmError
 from rrm.training.config import RunConfig
-from rrmctl.errors import UserError
+from rrmctl.errors import UserError, shown
 from rrmctl.planning.manifest import Settings, nearest
 from rrmctl.planning.profiles import Layer
+from rrmctl.planning.toml import loads, refuse_odd
 
 #: Settings that say how long, how often and how much: the ones a profile shrinks in a manifest's numbers.
 AMOUNTS = (
@@ -35,6 +35,9 @@ _LARGEST = 2**53
 
 #: Text that needs no quotes after --set: a word, or the path of a file.
 _BARE = re.compile(r"[\w-]+|[\w~./-]*[/.][A-Za-z][\w./-]*")
+
+#: So much of an assignment is repeated in a message.
+_LONGEST = 200
 
 #: Settings that something else decides, and what does.
 _DECIDED = {
@@ -96,7 +99,7 @@ def flatten(layer: Layer) -> dict[str, Any]:
 
 def _walk(tree: Any, prefix: str, where: str) -> Iterator[tuple[str, Any]]:
     if not isinstance(tree, dict):
-        raise UserError(f"{where}: {prefix.rstrip('.') or 'the section'} must be a table, got {tree!r}")
+        raise UserError(f"{where}: {prefix.rstrip('.') or 'the section'} must be a table, got {shown(tree)}")
     for key, value in tree.items():
         name = f"{prefix}{key}"
         if name in _sections():
@@ -128,11 +131,11 @@ def _checked(name: str, value: Any, where: str) -> Any:
         if isinstance(value, float) and value.is_integer():  # 1e5 is how people write 100000
             return _checked(name, int(value), where)
         found = error.errors(include_url=False)[0]
-        raise UserError(f"{where}: {name} = {value!r}: {found['msg']}") from None
+        raise UserError(f"{where}: {name} = {shown(value)}: {found['msg']}") from None
     try:
         json.dumps(checked, allow_nan=False)
     except (TypeError, ValueError):
-        raise UserError(f"{where}: {name} = {value!r}: only text, finite numbers, lists and tables") from None
+        raise UserError(f"{where}: {name} = {shown(value)}: only text, finite numbers, lists and tables") from None
     return checked
 
 
@@ -200,9 +203,11 @@ def parse_assignments(assignments: Iterable[str]) -> dict[str, Any]:
     settings: dict[str, Any] = {}
     for text in assignments:
         key, equals, value = text.partition("=")
+        where = f"--set {text[:_LONGEST]}{'...' * (len(text) > _LONGEST)}"
         if not equals or not key.strip():
-            raise UserError(f"--set {text}: expected KEY=VALUE, e.g. --set agent.batch=256")
-        settings[key.strip()] = _value(value.strip(), f"--set {text}")
+            raise UserError(f"{where}: expected KEY=VALUE, e.g. --set agent.batch=256")
+        settings[key.strip()] = _value(value.strip(), where)
+    refuse_odd(settings, "--set")
     return check_assignments(settings)
 
 
@@ -225,8 +230,8 @@ def check_assignments(settings: Mapping[str, Any]) -> dict[str, Any]:
 
 def _value(text: str, where: str) -> Any:
     try:
-        table = tomllib.loads(f"value = {text}")
-    except (tomllib.TOMLDecodeError, RecursionError):
+        table = loads(f"value = {text}")
+    except ValueError:
         table = {}
     if table.keys() == {"value"}:
         return table["value"]
