@@ -47,6 +47,27 @@ FLOORS = {
     "buffers": 2,
     "nets": 1, "losses": 1,
 }  # fmt: skip
+#: Where a name or a text becomes something that runs, and how: names in our own tables, `file.py:function` of the
+#: user's, what is rebuilt from a language model's words, and our own folders of commands.
+DYNAMIC = {
+    "rrm.envs.tasks": {"import_module"},
+    "rrm.registry": {"import_module", "compile", "exec_module"},
+    "rrm.priors.language.translate": {"compile", "exec"},
+    "rrmctl.reports.shelf": {"import_module"},
+}
+#: Readers of files that can hold code, and what runs text.
+RUNS = {
+    "eval",
+    "exec",
+    "compile",
+    "__import__",
+    "import_module",
+    "exec_module",
+    "load_module",
+    "run_path",
+    "run_module",
+}
+UNSAFE = {"pickle", "marshal", "shelve", "dill", "cloudpickle", "joblib", "yaml", "runpy", "code", "imp"}
 HEAVY = {"torch", "numpy", "pandas", "pyarrow", "pydantic", "matplotlib", "mujoco", "metaworld", "dm_control", "scipy"}
 
 
@@ -168,6 +189,37 @@ def test_help_answers_at_once(code: str) -> None:
     report = "; import json, sys; print(json.dumps(sorted({m.split('.')[0] for m in sys.modules})))"
     done = subprocess.run([sys.executable, "-c", code + report], capture_output=True, text=True, check=True)
     assert set(json.loads(done.stdout.splitlines()[-1])) & HEAVY == set()
+
+
+def _called(name: str) -> Iterator[tuple[ast.Call, str, str]]:
+    """Every call in a module: the call, what it is called on by name, and the function's own name."""
+    for node in ast.walk(ast.parse(MODULES[name].read_text())):
+        match node:
+            case ast.Call(func=ast.Name(id=function)):
+                yield node, "", function
+            case ast.Call(func=ast.Attribute(value=value, attr=function)):
+                yield node, ast.unparse(value), function
+
+
+def test_nothing_that_is_read_can_run() -> None:
+    """No file's content becomes code but in the places that exist for it, and no format that can hold code is read."""
+    running = {
+        module: found
+        for module in MODULES
+        if (found := {function for _, owner, function in _called(module) if function in RUNS and owner != "re"})
+    }
+    assert running == DYNAMIC
+    assert [module for module in MODULES if {i.split(".")[0] for i in imports(module)} & UNSAFE] == []
+
+
+def test_arrays_are_read_without_pickles() -> None:
+    """`np.load` says so each time, and `torch.load`, which cannot promise it of itself, is not called."""
+    for module in MODULES:
+        for call, owner, function in _called(module):
+            if function == "load" and owner in ("np", "numpy", "torch"):
+                said = {keyword.arg: ast.unparse(keyword.value) for keyword in call.keywords}
+                assert (owner, said.get("allow_pickle")) == ("np", "False"), module
+            assert function not in ("read_pickle", "unsafe_load"), module
 
 
 def test_planning_needs_no_torch() -> None:

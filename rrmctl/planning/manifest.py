@@ -92,7 +92,7 @@ class Grid(_Frozen):
     def _distinct(cls, names: tuple[str, ...]) -> tuple[str, ...]:
         twice = sorted(name for name, times in Counter(names).items() if times > 1)
         if twice:
-            raise ValueError(f"named twice: {', '.join(twice)}")
+            raise ValueError(f"named twice: {', '.join(twice[:5])}")
         return names
 
     @field_validator("zip")

@@ -3,11 +3,8 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from rrmctl.errors import UserError
 from rrmctl.planning import manifest
@@ -149,48 +146,3 @@ def test_no_experiments(tmp_path: Path) -> None:
         with pytest.raises(UserError) as caught:
             manifest.available(folder)
         assert "--experiments" in str(caught.value.hint)
-
-
-SCALARS = st.one_of(
-    st.none(), st.booleans(), st.integers(), st.floats(), st.text(max_size=8), st.sampled_from(["toy-car", "pebble"])
-)
-JUNK = st.recursive(
-    SCALARS,
-    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=6), inner, max_size=3),
-    max_leaves=6,
-)
-GRID = st.dictionaries(st.sampled_from([*manifest.Grid.model_fields, "x"]), JUNK, max_size=5)
-KEYS = [
-    "title",
-    "reproduces",
-    "rule",
-    "default_profile",
-    "seeds",
-    "defaults",
-    "task",
-    "method",
-    "teacher",
-    "feedback",
-    "profile",
-]
-
-
-@given(st.dictionaries(st.sampled_from(KEYS), JUNK, max_size=8), GRID | JUNK | st.lists(GRID, max_size=2))
-@settings(max_examples=150, deadline=None)
-def test_any_table_is_read_or_refused(table: dict[str, Any], grid: Any) -> None:
-    """Whatever a file holds, the answer is a manifest or a `UserError` that names the file."""
-    try:
-        said = manifest.parse({**table, "grid": grid}, Path("any.toml")).name
-    except UserError as error:
-        said = str(error)
-    assert "any" in said
-
-
-@given(st.text(max_size=60))
-@settings(max_examples=60, deadline=None)
-def test_any_text_is_read_or_refused(tmp_path_factory: pytest.TempPathFactory, text: str) -> None:
-    """Whatever a file says, the answer is a manifest or a `UserError`."""
-    path = tmp_path_factory.mktemp("text") / "any.toml"
-    path.write_bytes(text.encode("utf-8", "surrogatepass"))
-    with pytest.raises(UserError, match=r"any\.toml"):
-        manifest.load(path)

@@ -6,14 +6,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from rrmctl.errors import UserError
 from rrmctl.planning import manifest
 from rrmctl.planning.plan import Job, Plan, make_plan, parse_seeds, variant
 from rrmctl.planning.profiles import profiles
-from rrmctl.planning.settings import known_settings
 
 EXPERIMENTS = Path(__file__).parents[3] / "experiments"
 
@@ -515,84 +512,6 @@ def test_a_prior_a_task(tmp_path: Path) -> None:
     assert job.config.reward.prior == f"{tmp_path / 'toy-car.py'}:near"
     table["grid"] = {"tasks": ["toy-car", "door-open"], "methods": ["mine"]}
     assert "door-open, mine: " in str(refused(manifest.parse(table, tmp_path / "mine.toml")))
-
-
-NAMES = st.sampled_from(
-    ["toy-car", "button-press", "walker-walk", "oracle", "pebble", "rrm-zero", "sac-h2o", "none", "x"]
-)
-VALUES = st.one_of(
-    st.integers(-2, 10**6),
-    st.integers(),
-    st.floats(),
-    st.booleans(),
-    st.text(max_size=5),
-    st.lists(st.integers(), max_size=2),
-)
-TREES = st.dictionaries(
-    st.sampled_from(["steps", "agent", "feedback", "horizon", "reward", "batch", "oddity"]),
-    VALUES
-    | st.dictionaries(st.sampled_from(["batch", "segment", "every", "options", "lr", "hidden"]), VALUES, max_size=3),
-    max_size=3,
-)
-AXIS = st.lists(NAMES, min_size=1, max_size=2, unique=True)
-GRIDS = st.fixed_dictionaries(
-    {"tasks": AXIS, "methods": AXIS},
-    optional={
-        "teachers": st.lists(st.sampled_from(["oracle", "mistaken-10", "x"]), max_size=2),
-        "feedback": st.lists(st.sampled_from(["default", "x"]), max_size=2),
-        "zip": st.just([["tasks", "methods"]]),
-        "exclude": st.lists(st.fixed_dictionaries({"task": NAMES}), max_size=1),
-        "include": st.lists(st.fixed_dictionaries({"method": NAMES}, optional={"set": TREES}), max_size=1),
-        "set": TREES,
-    },
-)
-SECTIONS = st.dictionaries(st.sampled_from(["defaults"]), TREES) | st.dictionaries(
-    st.sampled_from(["task", "method", "teacher", "feedback", "profile"]),
-    st.dictionaries(NAMES, TREES, max_size=1),
-    max_size=2,
-)
-
-
-@given(
-    GRIDS,
-    SECTIONS,
-    st.none() | st.sampled_from(["paper", "smoke", "laptop", "x"]),
-    st.none() | st.text("0123,-", max_size=6),
-    st.dictionaries(st.sampled_from([*known_settings(), "x"]), VALUES, max_size=2),
-)
-@settings(max_examples=200, deadline=None)
-def test_any_manifest_plans_or_is_refused(
-    grid: dict[str, Any], sections: dict[str, Any], scale: str | None, seeds: str | None, overrides: dict[str, Any]
-) -> None:
-    """Whatever is asked for, the answer is a plan of distinct runs or a `UserError`."""
-    try:
-        plan = make_plan(made(grid, **sections), profile=scale, seeds=seeds, overrides=overrides)
-    except UserError:
-        return
-    assert len({job.id for job in plan.jobs}) == len(plan.jobs) > 0
-
-
-@given(st.text(max_size=20))
-@settings(max_examples=100, deadline=None)
-def test_any_seed_text_is_read_or_refused(text: str) -> None:
-    """Whatever is typed after --seeds, the answer is distinct seeds or a `UserError`."""
-    try:
-        seeds = parse_seeds(text, "--seeds")
-    except UserError:
-        return
-    assert len(set(seeds)) == len(seeds) > 0
-    assert min(seeds) >= 0
-
-
-@given(st.sampled_from(known_settings()), st.text(max_size=12))
-@settings(max_examples=150, deadline=None)
-def test_any_override_text_is_read_or_refused(key: str, text: str) -> None:
-    """Whatever is typed after --set KEY=, the answer is a plan or a `UserError`."""
-    try:
-        plan = make_plan(made(), seeds="1", overrides=[f"{key}={text}"])
-    except UserError:
-        return
-    assert list(plan.overrides) == [key]
 
 
 def test_documented_manifests_plan(tmp_path: Path) -> None:
