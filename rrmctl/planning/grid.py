@@ -14,7 +14,7 @@ from rrmctl.planning.profiles import Layer
 #: The axes of a grid in the order in which rows vary, the last one fastest, and what a row calls its value.
 AXES: dict[Axis, str] = {"tasks": "task", "methods": "method", "teachers": "teacher", "feedback": "feedback"}
 
-
+#: Each is configured by itself: some ten milliseconds.
 _MOST_ROWS = 5000
 
 

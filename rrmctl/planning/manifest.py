@@ -35,6 +35,8 @@ Axis = Literal["tasks", "methods", "teachers", "feedback"]
 Text = Annotated[str, StringConstraints(strict=True, min_length=1, strip_whitespace=True)]
 Texts = Annotated[tuple[Text, ...], Field(min_length=1)]
 
+_NAME = re.compile(r"\w([\w .+@-]{0,98}[\w.+@-])?")
+
 
 def _plain(name: str) -> str:
     """A name that tables, file systems and command lines leave as it is."""
@@ -45,13 +47,12 @@ def _plain(name: str) -> str:
 
 Name = Annotated[Text, AfterValidator(_plain)]
 Names = Annotated[tuple[Name, ...], Field(min_length=1)]
-Sections = dict[Annotated[str, AfterValidator(_plain)], Settings]
+_Key = Annotated[str, AfterValidator(_plain)]  # two keys that differ in spaces alone must not become one
+Sections = dict[_Key, Settings]
 
 #: The teacher and the schedule of feedback that need no name in a manifest.
 DEFAULT_TEACHER = "oracle"
 DEFAULT_FEEDBACK = "default"
-
-_NAME = re.compile(r"\w([\w .+@-]{0,98}[\w.+@-])?")
 
 _EXPERIMENT_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,127}")  # it becomes a file's in the store
 
@@ -126,7 +127,7 @@ class Manifest(_Frozen):
     grids: Annotated[tuple[Grid, ...], Field(min_length=1)]
     defaults: Settings = Field(default_factory=dict)  #: settings of every run
     tasks: Sections = Field(default_factory=dict)  #: [task.NAME]
-    methods: dict[Annotated[str, AfterValidator(_plain)], MethodTable] = Field(default_factory=dict)  #: [method.NAME]
+    methods: dict[_Key, MethodTable] = Field(default_factory=dict)  #: [method.NAME]
     teachers: Sections = Field(default_factory=dict)  #: [teacher.NAME]: keys of `TeacherConfig`
     feedback: Sections = Field(default_factory=dict)  #: [feedback.NAME]: keys of `FeedbackConfig`
     profiles: Sections = Field(default_factory=dict)  #: [profile.NAME]: taken as they stand, not scaled

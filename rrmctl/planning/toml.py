@@ -28,6 +28,8 @@ def read_toml(path: Path) -> dict[str, Any]:
         UserError: it cannot be read, or is not TOML; the message names file, line and column.
     """
     try:
+        if path.exists() and not path.is_file():  # a pipe may have no end
+            raise UserError(f"cannot read {path}: not a file")
         with path.open("rb") as file:
             data = file.read(_LARGEST_FILE + 1)
         if len(data) > _LARGEST_FILE:

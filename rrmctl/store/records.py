@@ -241,11 +241,15 @@ class SweepRecord:
         """The record read from `path`.
 
         Raises:
-            DamagedError: it is of another version, or lacks or mistakes a field.
+            DamagedError: it is of another version, lacks or mistakes a field, or is another sweep's: files are named
+                after what it says.
         """
         content, hint = dict(value), _sweep_hint(path)
         _check_version(content.pop("schema_version", None), path)
         shape.check(content, _SWEEP, path, hint)
+        if (content["experiment"], content["variant"]) != (path.parent.name, path.stem):
+            told = f"{content['experiment']!r} ({content['variant']!r})"
+            raise DamagedError(f"{path} is damaged: it is the record of {told}", hint)
         try:
             jobs, needed = (_jobs(content.pop(name, []), name, path) for name in ("jobs", "needed"))
             return cls(**content, jobs=jobs, needed=needed)

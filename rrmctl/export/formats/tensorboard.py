@@ -74,7 +74,7 @@ def run_folder(run: Run) -> Path:
 
 
 def _as_name(text: str) -> str:
-    return re.sub(r"[^\w.@+ -]", "-", text)
+    return re.sub(r"^\.|[^\w.@+ -]", "-", text)
 
 
 def _events(run: Run) -> Iterator[Event]:

@@ -1,5 +1,6 @@
 """What other programs get of the store: read back with their own readers."""
 
+import dataclasses
 import json
 import os
 import socket
@@ -103,6 +104,14 @@ def test_tensorboard_reads_its_files(results, tmp_path):
         assert [event.wall_time for event in success] == [STARTED_S + s for s in run.curve["wall_s"]]
         assert run.id in events.Tensors("config")[0].tensor_proto.string_val[0].decode()
         assert "_hparams_/session_start_info" in events.Tags()["tensors"]
+
+
+def test_no_name_leads_out_of_the_folder(results):
+    """Whatever a record says a task or a method is called, the run's files stay below."""
+    (run, *_) = read(results, "main-results").begun
+    for name in ("..", "../../x", "/etc", "."):
+        plan = run.plan | {"task": name, "method": name}
+        assert not {"..", ".", "/"} & {*run_folder(dataclasses.replace(run, plan=plan)).parts}
 
 
 def test_missing_values_are_no_scalars(tmp_path):

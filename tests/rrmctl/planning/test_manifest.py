@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import pytest
@@ -119,8 +120,10 @@ def test_unreadable_files(tmp_path: Path) -> None:
     broken.write_bytes(b"title = '\xff'")
     with pytest.raises(UserError, match="not UTF-8"):
         manifest.load(broken)
-    with pytest.raises(UserError, match="cannot read"):
-        manifest.load(tmp_path / "absent.toml")
+    os.mkfifo(tmp_path / "pipe.toml")
+    for name in ("absent.toml", "pipe.toml"):
+        with pytest.raises(UserError, match="cannot read"):
+            manifest.load(tmp_path / name)
     with pytest.raises(UserError, match="name is made of"):
         manifest.load(write(tmp_path, GOOD, "two words.toml"))
 

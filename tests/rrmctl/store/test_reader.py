@@ -161,6 +161,8 @@ def test_a_status_with_a_field_of_another_kind_is_damaged(tmp_path: Path, change
         ({"jobs": [1]}, r"jobs\[0\] is 1, not an object"),
         ({"jobs": [dataclasses.asdict(job(0)) | {"seed": "x"}]}, r"jobs\[0\].seed is 'x', not a whole number"),
         ({"jobs": [dataclasses.asdict(job(0)) | {"id": "../x"}]}, r"jobs\[0\].id is '../x', not 16 hexadecimal digits"),
+        ({"experiment": "../../x"}, r"it is the record of '../../x' \('smoke'\)"),
+        ({"variant": "../x"}, r"it is the record of 'e' \('../x'\)"),
     ],
 )
 def test_a_sweep_with_a_field_of_another_kind_is_damaged(tmp_path: Path, change: object, told: str) -> None:
