@@ -191,7 +191,9 @@ class _Session:
             last = (
                 f"the last good checkpoint is of step {self._saved_step:,}" if self._saved_step else "no checkpoint yet"
             )
-            raise type(error)(f"{error} (at step {self.trainer.step:,}; {last})") from error
+            step = self.trainer.step
+            where = "" if f"step {step}" in str(error) else f"at step {step:,}; "
+            raise type(error)(f"{error} ({where}{last})") from error
 
     def _run(self) -> bool:
         trainer, config = self.trainer, self.trainer.config
