@@ -48,6 +48,9 @@ __all__ = ["resume", "run", "show", "status"]
 #: Work above which a person at a terminal is asked first, core-hours.
 _LARGE_H = 1.0
 
+#: Silence after which a job counts as hung, minutes; a feedback session may take some.
+_HANG_AFTER_MIN = 30.0
+
 WorkersOption = Annotated[
     int | None,
     typer.Option("--workers", "-j", min=1, help="Jobs at a time, one core each. Default: every core there is."),
@@ -56,6 +59,15 @@ MemoryOption = Annotated[
     float | None,
     typer.Option(
         "--memory", min=0.1, metavar="GIB", help="A job that takes more is ended and goes on from its checkpoint."
+    ),
+]
+HangOption = Annotated[
+    float,
+    typer.Option(
+        "--hang-after",
+        min=0.01,
+        metavar="MINUTES",
+        help="A job that shows no progress for so long is ended and goes on from its checkpoint.",
     ),
 ]
 RetryOption = Annotated[bool, typer.Option("--retry-failed", help="Try failed runs again, from their checkpoint.")]
@@ -72,6 +84,7 @@ def run(
     prior: PriorOption = None,
     workers: WorkersOption = None,
     memory: MemoryOption = None,
+    hang_after: HangOption = _HANG_AFTER_MIN,
     results: ResultsOption = DEFAULT_RESULTS,
     experiments: ExperimentsOption = DEFAULT_EXPERIMENTS,
     retry_failed: RetryOption = False,
@@ -133,7 +146,7 @@ def run(
             for job in part.everything
             if wanted(job, states[job.id])
         ]
-        return _run(console, layout, assigned, slots, memory), sweep
+        return _run(console, layout, assigned, slots, memory, hang_after), sweep
 
     large = expected.hours_left > _LARGE_H and any(wanted(job, expected.states[job.id]) for job in plan.everything)
     if large and not yes and _asks() and not typer.confirm("Start?", err=True):
@@ -149,6 +162,7 @@ def resume(
     ] = None,
     workers: WorkersOption = None,
     memory: MemoryOption = None,
+    hang_after: HangOption = _HANG_AFTER_MIN,
     results: ResultsOption = DEFAULT_RESULTS,
     retry_failed: RetryOption = False,
 ) -> None:
@@ -174,7 +188,7 @@ def resume(
         console.print(f"{sweep.experiment} ({sweep.variant}): {count} of {total} to go", soft_wrap=True)
     assigned = [_assignment(job, states[job.id], _threads(layout, job), fresh=False) for job in chosen]
     slots = workers or _default_slots(job.threads for job in assigned)
-    code = _run(console, layout, assigned, slots, memory)
+    code = _run(console, layout, assigned, slots, memory, hang_after)
     finish(layout, code, sweeps, damaged=bool(damage))
 
 
@@ -252,7 +266,12 @@ def _threads(layout: Layout, job: JobRecord) -> int:
 
 
 def _run(
-    console: Console, layout: Layout, assigned: Sequence[Assignment], slots: int, memory_gib: float | None
+    console: Console,
+    layout: Layout,
+    assigned: Sequence[Assignment],
+    slots: int,
+    memory_gib: float | None,
+    hang_after_min: float,
 ) -> Exit:
     """Run the jobs, shown as bars at a terminal and as lines elsewhere."""
     from rrmctl.cli.live import Bars, Lines
@@ -263,6 +282,7 @@ def _run(
     pool = partial(
         Pool, layout=layout, assignments=assigned, slots=slots, asked=["rrmctl", *sys.argv[1:]],
         memory_limit=None if memory_gib is None else int(memory_gib * 2**30),
+        hang_after_s=hang_after_min * 60.0,
     )  # fmt: skip
     if not sys.stderr.isatty() or console.is_dumb_terminal:
         return pool(watcher=Lines(console, layout, assigned)).run()

@@ -9,7 +9,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -47,6 +47,7 @@ class Child:
         threads: it may use.
         options: further arguments of the worker.
         command: the program, to which root, id and options are added.
+        clock: of `heard`, in seconds.
 
     Raises:
         StorageError: the log cannot be opened.
@@ -54,10 +55,18 @@ class Child:
     """
 
     def __init__(
-        self, layout: Layout, job: str, *, threads: int, options: Sequence[str] = (), command: Sequence[str] = WORKER
+        self,
+        layout: Layout,
+        job: str,
+        *,
+        threads: int,
+        options: Sequence[str] = (),
+        command: Sequence[str] = WORKER,
+        clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self.job = job
-        self.heard = time.monotonic()  #: when the last message arrived
+        self._clock = clock
+        self.heard = clock()  #: when the last message arrived
         self.error: RunError | None = None  #: as the worker told it
         self.ended_for: RunError | None = None  #: why its parent ended it
         self.open = True  #: its pipe is
@@ -89,7 +98,7 @@ class Child:
             if not data:
                 self.close()
                 break
-            self.heard = time.monotonic()
+            self.heard = self._clock()
             *lines, self._text = (self._text + data).split(b"\n")
             messages += map(_message, lines)
         return messages
@@ -102,19 +111,30 @@ class Child:
 
     def ended(self) -> bool:
         """True once the process is gone; what it had started is ended with it."""
-        if self._process.poll() is None:
+        if not self._over():
             return False
         self.kill()
+        self._process.wait()
         return True
+
+    def _over(self) -> bool:
+        """Whether the process has ended. It is not reaped by that: until it is no other group can have its number."""
+        with contextlib.suppress(AttributeError, ChildProcessError):  # macOS; who started us ignores SIGCHLD
+            return os.waitid(os.P_PID, self._process.pid, os.WEXITED | os.WNOHANG | os.WNOWAIT) is not None
+        return self._process.poll() is not None
 
     def ask_to_stop(self) -> None:
         """Have it checkpoint and leave."""
-        self._process.terminate()
+        self._signal(os.kill, signal.SIGTERM)
 
     def kill(self) -> None:
         """End it, and whatever it has started, now."""
-        with contextlib.suppress(ProcessLookupError, PermissionError):  # nobody is left in the group
-            os.killpg(self._process.pid, signal.SIGKILL)
+        self._signal(os.killpg, signal.SIGKILL)
+
+    def _signal(self, send: Callable[[int, int], None], number: signal.Signals) -> None:
+        if self._process.returncode is None:  # its number is still its own
+            with contextlib.suppress(ProcessLookupError, PermissionError):  # nobody is left in the group
+                send(self._process.pid, number)
 
     def memory(self) -> int | None:
         """Resident memory in bytes; None where the system has no /proc, or the process is gone."""

@@ -25,6 +25,11 @@ _WATCH_S = 0.5
 #: How long a worker without a parent may take to checkpoint before it ends itself, seconds.
 _GRACE_S = 120.0
 
+#: What the system sends a worker whose parent died; its number is the seconds until a worker that hangs is ended.
+_ORPHANED: int | None = getattr(signal, "SIGRTMAX", None)
+
+_PR_SET_PDEATHSIG = 1  # linux/prctl.h
+
 #: A line up to this length arrives whole or not at all (POSIX: at least 512; Linux: 4096).
 _LINE = 4000 if os.name == "posix" and os.uname().sysname == "Linux" else 500
 
@@ -52,9 +57,16 @@ class Pipe:
 
     def beat(self, step: int, steps_per_s: float) -> None:
         """A sign of life, a few times a second at the most."""
+        self._now_and_then(event="beat", step=step, steps_per_s=steps_per_s if math.isfinite(steps_per_s) else None)
+
+    def wait(self) -> None:
+        """A sign of life of a worker that waits for another process; as often."""
+        self._now_and_then(event="wait")
+
+    def _now_and_then(self, **message: Any) -> None:
         if time.monotonic() - self._last_beat >= _BEAT_S:
             self._last_beat = time.monotonic()
-            self.send(event="beat", step=step, steps_per_s=steps_per_s if math.isfinite(steps_per_s) else None)
+            self.send(**message)
 
     def note(self, text: str) -> None:
         """Something a person should read; it is printed into the log as well."""
@@ -105,6 +117,7 @@ class StopRequest:
         self._requested = threading.Event()
         self._left = threading.Event()
         self._at_once = False
+        self._watching: threading.Thread | None = None
         self._handlers: dict[signal.Signals, Any] = {}
 
     @property
@@ -127,13 +140,18 @@ class StopRequest:
         for number in (signal.SIGTERM, signal.SIGINT):
             self._handlers[number] = signal.signal(number, self._on_signal)
         if self._parent is not None:
-            threading.Thread(target=self._watch, args=(self._parent,), daemon=True).start()
+            _end_orphans(_ORPHANED)
+            self._watching = threading.Thread(target=self._watch, args=(self._parent,), daemon=True)
+            self._watching.start()
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self._left.set()
+        if self._watching is not None:
+            self._watching.join()
+            _end_orphans(None)
         for number, handler in self._handlers.items():
             signal.signal(number, handler)
 
@@ -148,9 +166,33 @@ class StopRequest:
             if self._left.wait(_WATCH_S):
                 return
         self._requested.set()
+        signal.alarm(math.ceil(_GRACE_S) + 5)  # Python runs, and is given the whole time
         if self._at_once:  # only the main thread can leave what it is doing, and only a signal reaches it there
             os.kill(os.getpid(), signal.SIGTERM)
         # Nobody is left to end this process should it hang, so it does so itself, with whatever it has started.
         if not self._left.wait(_GRACE_S):
             leads = os.getpgrp() == os.getpid()
             (os.killpg if leads else os.kill)(os.getpid(), signal.SIGKILL)
+
+
+def _end_orphans(number: int | None) -> None:
+    """Have the system end this process some time after its parent's death, even while Python cannot run.
+
+    Code that never gives up the interpreter's lock (a regular expression, somebody's C) keeps every thread of Python's
+    from running, and every handler. So the signal of the parent's death is handled by alarm(2) itself, which takes the
+    signal's number for seconds; and the alarm, which nobody handles, ends the process.
+
+    Args:
+        number: the signal; None to undo it.
+    """
+    if sys.platform != "linux":
+        return
+    import ctypes
+
+    libc = ctypes.CDLL(None)
+    if number is None:
+        libc.prctl(_PR_SET_PDEATHSIG, ctypes.c_ulong(0))
+        signal.alarm(0)
+    else:
+        libc.signal(number, ctypes.cast(libc.alarm, ctypes.c_void_p))
+        libc.prctl(_PR_SET_PDEATHSIG, ctypes.c_ulong(number))

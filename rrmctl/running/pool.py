@@ -20,11 +20,12 @@ from typing import Any, Protocol
 from rrmctl.errors import Exit, UserError
 from rrmctl.running.child import WORKER, Child
 from rrmctl.running.scheduler import Ending, Outcome, Phase, Scheduler
-from rrmctl.store.atomic import StorageError
+from rrmctl.store.atomic import StorageError, is_locked
 from rrmctl.store.layout import Layout
 from rrmctl.store.lease import LEASE_S, Beat, Watch
 from rrmctl.store.reader import blocked_by, run_status
 from rrmctl.store.records import ErrorKind, RunError, State, Status, record_failure
+from rrmctl.waking import WakingTime
 
 #: Longest wait between two looks at the children, seconds; pipes and signals end it early.
 _TICK_S = 0.2
@@ -91,6 +92,7 @@ class Pool:
     command: Sequence[str] = WORKER
     _children: dict[str, Child] = field(default_factory=dict, init=False)
     _launched: set[str] = field(default_factory=set, init=False)
+    _waking: WakingTime = field(default_factory=WakingTime, init=False)
     _signals: int = field(default=0, init=False)
     _kill_at: float | None = field(default=None, init=False)  #: when workers that were asked to leave are ended
     _silent: dict[str, Beat] = field(default_factory=dict, init=False)  #: runs to be taken over
@@ -102,7 +104,7 @@ class Pool:
     def __post_init__(self) -> None:
         self._jobs = {assignment.id: assignment for assignment in self.assignments}
         self._selector = selectors.DefaultSelector()
-        self._watch = Watch(self.lease_s)
+        self._watch = Watch(self.lease_s, self._waking)
         requires = {assignment.id: assignment.requires for assignment in self.assignments if assignment.requires}
         self.scheduler = Scheduler(self._jobs, slots=self.slots, retries=self.retries, requires=requires)
 
@@ -170,7 +172,8 @@ class Pool:
         if (beat := self._silent.pop(assignment.id, None)) is not None:
             options += ["--take-over", f"{beat.owner}:{beat.count}"]
         child = Child(
-            self.layout, assignment.id, threads=assignment.threads, options=options, command=self.command
+            self.layout, assignment.id, threads=assignment.threads, options=options, command=self.command,
+            clock=self._waking,
         )  # fmt: skip
         self._children[assignment.id] = child
         self._launched.add(assignment.id)
@@ -182,21 +185,20 @@ class Pool:
             return
         self._looked = time.monotonic()
         for job in self.scheduler.elsewhere:
-            status = run_status(self.layout.run(job))
-            if status.state is State.RUNNING:
-                self._take_over(job)
-                continue
-            settled = _settled(self._jobs[job], status)
-            if settled is None:
-                self.scheduler.free(job)
-            else:
+            folder = self.layout.run(job)
+            settled = _settled(self._jobs[job], run_status(folder))
+            if settled is not None:
                 self._conclude(job, settled)
+            elif is_locked(folder.lock):
+                self._take_over(job)
+            else:
+                self.scheduler.free(job)
 
     def _take_over(self, job: str) -> None:
-        """Queue a run whose owner holds it and gives no sign of life any more."""
+        """Queue a run whose owner holds it and gives no sign of life any more: each time that a lease has passed."""
         beat = self._watch.expired(self.layout.run(job))
         if beat is not None:
-            self.watcher.note(job, f"its owner gave no sign of life for {self.lease_s:g} s; taking it over")
+            self.watcher.note(job, f"its owner gave no sign of life for {self.lease_s:g} s; trying to take it over")
             self._silent[job] = beat
             self.scheduler.free(job)
 
@@ -231,9 +233,9 @@ class Pool:
 
     def _end_misbehaving(self) -> None:
         """End workers that are silent for too long, and those that take too much memory."""
-        now = time.monotonic()
+        lived, now = self._waking(), time.monotonic()
         for child in self._children.values():
-            if now - child.heard > self.hang_after_s:
+            if lived - child.heard > self.hang_after_s:
                 child.end(ErrorKind.HUNG, "gave no sign of life")
         if self.memory_limit is None or now - self._weighed < _POLL_S:
             return
@@ -251,11 +253,11 @@ class Pool:
         """Act on signals that have arrived, outside their handlers; and on workers that take too long to leave."""
         if self._signals and self._kill_at is None:
             self.scheduler.stop()
-            self._kill_at = time.monotonic() + self.stop_after_s
+            self._kill_at = self._waking() + self.stop_after_s
             self.watcher.stopping(len(self._children), self.stop_after_s)
             for child in self._children.values():
                 child.ask_to_stop()
-        if self._kill_at is not None and time.monotonic() > self._kill_at:
+        if self._kill_at is not None and self._waking() > self._kill_at:
             for child in self._children.values():
                 child.kill()
 

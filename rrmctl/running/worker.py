@@ -141,21 +141,26 @@ def main(argv: Sequence[str] | None = None, trainer: Trainer | None = None) -> W
     given = _arguments(argv)
     folder = Layout(given.results).run(given.run)
     pipe = Pipe(given.pipe)
+    with StopRequest(given.parent, pipe) as stop:
+        try:
+            read_config(folder)
+            with stop.at_once():
+                lease = Lease.take(folder, patience_s=1.0, stale=given.take_over, waiting=pipe.wait)
+        except Leave:
+            return WorkerExit.STOPPED
+        except UserError as error:
+            return _report(folder, error, pipe)[0]
+        return WorkerExit.LOCKED if lease is None else _own(lease, given, pipe, stop, trainer)
+
+
+def _own(lease: Lease, given: argparse.Namespace, pipe: Pipe, stop: StopRequest, trainer: Trainer | None) -> WorkerExit:
     try:
-        read_config(folder)
-        lease = Lease.take(folder, patience_s=1.0, stale=given.take_over)
-    except UserError as error:
-        return _report(folder, error, pipe)[0]
-    if lease is None:
-        return WorkerExit.LOCKED
-    try:
-        with StopRequest(given.parent, pipe) as stop:
-            return _attempt(lease, given, pipe, stop, trainer)
+        return _attempt(lease, given, pipe, stop, trainer)
     except LeaseLostError as error:
         say(f"--- {error}; what was done here since the last write is discarded")
         return WorkerExit.LOCKED
     except Exception as error:
-        code, reason = _report(folder, error, pipe)
+        code, reason = _report(lease.folder, error, pipe)
         _record_failure(lease, reason)
         return code
     finally:

@@ -8,6 +8,9 @@ A process that is stopped (SIGSTOP, a frozen container) does not die and keeps i
 the same count for `LEASE_S` of its own clock may take the run over: under the guard it puts its own token into the
 lease and a new file in the place of the lock. Should the other one wake, its next write finds a foreign token and does
 not happen.
+
+The guard is not taken from anybody: what its holder writes must be whole first. One that was stopped in the middle of
+it is waited for until it wakes or dies.
 """
 
 from __future__ import annotations
@@ -15,25 +18,35 @@ from __future__ import annotations
 import contextlib
 import fcntl
 import json
+import math
 import os
 import secrets
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 
 from rrm.files import replace
-from rrmctl.store.atomic import is_open_at, storage_error, try_lock
+from rrmctl.store.atomic import StorageError, is_open_at, storage_error, try_lock
 from rrmctl.store.layout import RunFolder
+from rrmctl.waking import WakingTime
 
 #: How often the owner raises its count, seconds.
 BEAT_S = 2.0
 #: How long others watch a count that does not change before they take the run over, seconds.
 LEASE_S = 30.0
 
+#: How often one who waits for the guard looks whether it is free, seconds.
+_LOOK_S = 0.01
+
 
 class LeaseLostError(Exception):
     """Another process owns the run by now: what this one did since its last write is not worth keeping."""
+
+
+#: Why a sign of life may be left out: the next row finds out what is the matter, and nobody's run ends for a beat.
+_NO_MATTER = (LeaseLostError, StorageError, OSError)
 
 
 @dataclass(frozen=True)
@@ -56,78 +69,91 @@ def read_beat(folder: RunFolder) -> Beat | None:
 class Lease:
     """Ownership of a run, from `take` until `release`. Signs of life are given by a thread of its own."""
 
-    def __init__(self, folder: RunFolder, lock: int) -> None:
-        """Args: lock: the descriptor that holds the run's lock. Under the guard, or with nobody else about."""
+    def __init__(self, folder: RunFolder, waiting: Callable[[], None]) -> None:
+        """Puts its token into the lease. Under the guard, and `_hold` makes it the owner."""
         self.folder = folder  #: of the run
-        self._lock = lock
+        self._waiting = waiting
         self._owner = secrets.token_hex(8)
         self._count = 0
         self._released = threading.Event()
         self._write()
+
+    def _hold(self, lock: int) -> Lease:
+        self._lock = lock
         threading.Thread(target=self._live, daemon=True).start()
+        return self
 
     @classmethod
-    def take(cls, folder: RunFolder, *, patience_s: float = 0.0, stale: Beat | None = None) -> Lease | None:
+    def take(
+        cls,
+        folder: RunFolder,
+        *,
+        patience_s: float = 0.0,
+        stale: Beat | None = None,
+        waiting: Callable[[], None] = lambda: None,
+    ) -> Lease | None:
         """Become the owner, or None where another process is.
 
         Args:
             patience_s: to wait for the lock, seconds; readers hold it for an instant.
             stale: the sign of life that nothing has followed for `LEASE_S`: its owner is not waited for.
+            waiting: called again and again while somebody else holds the guard, now and in `writing`.
 
         Raises:
             StorageError: the folder takes no write.
         """
         lock = try_lock(folder.lock, patience_s)
         if lock is not None:
-            with _guarded(folder):
+            with _guarded(folder, waiting):
                 if is_open_at(lock, folder.lock):
-                    return cls(folder, lock)
+                    return cls(folder, waiting)._hold(lock)
             os.close(lock)  # the run was taken over while nobody had it
-        return None if stale is None else cls._take_over(folder, stale)
+        return None if stale is None else cls._take_over(folder, stale, waiting)
 
     @classmethod
-    def _take_over(cls, folder: RunFolder, stale: Beat) -> Lease | None:
+    def _take_over(cls, folder: RunFolder, stale: Beat, waiting: Callable[[], None]) -> Lease | None:
         guard = try_lock(folder.guard)
         if guard is None:
             return None  # it is writing, or was stopped in the middle of it: what it writes must be whole first
         try:
             if read_beat(folder) != stale:
                 return None  # it lives, or somebody else was quicker
+            lease = cls(folder, waiting)  # where there is no space for it everything stays as it is
             folder.lock.unlink(missing_ok=True)
             lock = try_lock(folder.lock)
-            return None if lock is None else cls(folder, lock)
+            return None if lock is None else lease._hold(lock)
         finally:
             os.close(guard)
 
-    @contextlib.contextmanager
-    def writing(self) -> Iterator[None]:
-        """Around every write into the run's folder, and not inside another one.
+    def writing(self) -> AbstractContextManager[None]:
+        """Around every write into the run's folder, and not inside another one. Waits for the guard.
 
         Raises:
             LeaseLostError: the run belongs to another process; nothing may be written.
+            StorageError: the folder takes no write.
         """
-        with _guarded(self.folder):
-            beat = read_beat(self.folder)
-            # One that is gone is not ours either: whoever took the run over has finished with it.
-            if beat is None or beat.owner != self._owner:
-                raise LeaseLostError(f"{self.folder.id} belongs to another process by now")
-            yield
+        return self._owning(self._waiting)
 
     def release(self) -> None:
         """Leave the run to others."""
         self._released.set()
-        with contextlib.suppress(LeaseLostError, OSError), self.writing():
+        with contextlib.suppress(*_NO_MATTER), self._owning(patience_s=BEAT_S):
             self.folder.lease.unlink(missing_ok=True)
         os.close(self._lock)
 
     def _live(self) -> None:
         while not self._released.wait(BEAT_S):
-            try:
-                with self.writing():
-                    self._write()
-            except (LeaseLostError, OSError):
-                # The next write will find out; where there is no space for a beat there is none for a row.
-                continue
+            with contextlib.suppress(*_NO_MATTER), self._owning(patience_s=BEAT_S):
+                self._write()
+
+    @contextlib.contextmanager
+    def _owning(self, waiting: Callable[[], None] = lambda: None, patience_s: float = math.inf) -> Iterator[None]:
+        with _guarded(self.folder, waiting, patience_s):
+            beat = read_beat(self.folder)
+            # One that is gone is not ours either: whoever took the run over has finished with it.
+            if beat is None or beat.owner != self._owner:
+                raise LeaseLostError(f"{self.folder.id} belongs to another process by now")
+            yield
 
     def _write(self) -> None:
         self._count += 1
@@ -138,31 +164,62 @@ class Lease:
 
 
 class Watch:
-    """Looks at the leases of other processes, by this process' own clock."""
+    """Looks at the leases of other processes, by this process' own clock.
 
-    def __init__(self, lease_s: float = LEASE_S) -> None:
+    Args:
+        lease_s: how long nothing may follow a sign of life.
+        clock: seconds that this process has lived through.
+    """
+
+    def __init__(self, lease_s: float = LEASE_S, clock: Callable[[], float] | None = None) -> None:
         self._lease_s = lease_s
+        self._clock = clock or WakingTime()
         self._seen: dict[str, tuple[Beat | None, float]] = {}
 
     def expired(self, folder: RunFolder) -> Beat | None:
-        """The owner's last sign of life, once nothing has followed it for the length of a lease."""
-        beat, now = read_beat(folder), time.monotonic()
+        """The owner's last sign of life, if nothing has followed it for the length of a lease: once each time."""
+        beat, now = read_beat(folder), self._clock()
         before, since = self._seen.get(folder.id, (None, now))
-        if beat is None or beat != before:
-            self._seen[folder.id] = (beat, now)
+        silent = beat is not None and beat == before
+        if silent and now - since < self._lease_s:
             return None
-        return beat if now - since >= self._lease_s else None
+        self._seen[folder.id] = (beat, now)
+        return beat if silent else None
 
 
 @contextlib.contextmanager
-def _guarded(folder: RunFolder) -> Iterator[None]:
-    """Hold the guard, waiting for it as long as it takes."""
+def _guarded(
+    folder: RunFolder, waiting: Callable[[], None] = lambda: None, patience_s: float = math.inf
+) -> Iterator[None]:
+    """Hold the guard.
+
+    Args:
+        waiting: called again and again until it is free.
+        patience_s: to wait for it.
+
+    Raises:
+        StorageError: it cannot be opened.
+        TimeoutError: others held it all the while.
+    """
     try:
         descriptor = os.open(folder.guard, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o666)
     except OSError as error:
         raise storage_error(folder.guard, error) from error
     try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX)
+        deadline = time.monotonic() + patience_s
+        while not _locked(descriptor):
+            if time.monotonic() >= deadline:
+                raise TimeoutError(f"{folder.guard} is held by another process")
+            waiting()
+            time.sleep(_LOOK_S)
         yield
     finally:
         os.close(descriptor)
+
+
+def _locked(descriptor: int) -> bool:
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    return True

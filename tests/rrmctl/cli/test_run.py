@@ -351,6 +351,29 @@ def test_ctrl_c_leaves_with_75_and_resume_ends_it(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
+def test_a_job_that_hangs_is_ended_and_goes_on(tmp_path: Path) -> None:
+    """A prior of the user's that never comes back, once: with --hang-after the sweep does not wait half an hour."""
+    (tmp_path / "mine.py").write_text(
+        "import pathlib, time\n\n\ndef stuck(step):\n"
+        f"    mark = pathlib.Path({str(tmp_path / 'hung')!r})\n"
+        "    if not mark.exists():\n        mark.touch()\n        time.sleep(100_000)\n    return 0.0\n"
+    )
+    sweep = [*PLAN, "--seeds", "1", "--prior", f"{tmp_path / 'mine.py'}:stuck", "--methods", "rrm-stuck"]
+    result = call("run", *sweep, "--hang-after", "0.5", "--results", tmp_path / "results")
+    assert result.exit_code == 0, result.output
+    assert "gave no sign of life and was ended" in " ".join(result.stderr.split())
+    (run,) = planned(tmp_path / "results", "toy-car")["run"]
+    assert read_status(Layout(tmp_path / "results").run(run)).attempt == 2
+
+
+def test_nothing_hangs_after_no_time(tmp_path: Path) -> None:
+    """Zero minutes are refused."""
+    result = call("run", *PLAN, "--hang-after", "0", "--results", tmp_path)
+    assert result.exit_code == 2
+    assert "--hang-after" in result.stderr
+
+
+@pytest.mark.slow
 def test_no_room_for_a_checkpoint_is_said_and_overcome(tmp_path: Path) -> None:
     """A real limit on the size of files: the sweep stops incomplete, says what to do, and goes on when it is lifted."""
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)

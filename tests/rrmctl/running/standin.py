@@ -11,6 +11,7 @@ import contextlib
 import errno
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -22,7 +23,7 @@ from rrm.config import EvaluationConfig, ExplorationConfig, RewardConfig
 from rrm.errors import PriorError
 from rrm.training.config import RunConfig
 from rrm.types import EvalRow
-from rrmctl.running import worker
+from rrmctl.running import lifeline, worker
 from rrmctl.running.pool import Assignment
 from rrmctl.running.runfile import config_content
 from rrmctl.store.layout import Layout
@@ -131,6 +132,8 @@ def misbehave(behaviour: str, folder: Path, monitor: worker.RunMonitor) -> None:
             while True:
                 with contextlib.suppress(InterruptedError):
                     time.sleep(60)
+        case "stuck":
+            re.match(r"(a+)+$", "a" * 60 + "b")  # for ages, and no other thread runs meanwhile
         case "leak" if first:
             leak = bytearray(300 * 2**20)
             leak[::4096] = b"x" * len(leak[::4096])
@@ -142,4 +145,6 @@ def misbehave(behaviour: str, folder: Path, monitor: worker.RunMonitor) -> None:
 
 
 if __name__ == "__main__":
+    # Orphans that hang are ended the sooner: this signal's number is 10, for as many seconds.
+    lifeline._ORPHANED, lifeline._GRACE_S = signal.SIGUSR1, 30.0
     sys.exit(worker.main(trainer=Trainer()))

@@ -6,6 +6,7 @@ import json
 import os
 import signal
 import sys
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -108,3 +109,27 @@ def test_rubbish_in_the_pipe_is_shown_not_obeyed(tmp_path: Path) -> None:
         {"event": "note", "text": "b'[1]'"},
         {"event": "x"},
     ]
+
+
+def test_a_group_is_ended_while_its_number_is_its_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its leader has ended and is not reaped yet when the signal is sent; afterwards none is sent any more."""
+    layout = Layout(tmp_path)
+    layout.run("r").path.mkdir(parents=True)
+    child = Child(layout, "r", threads=1, command=[sys.executable, "-c", "pass"])
+    leader = Path(f"/proc/{child._process.pid}/stat")
+    states = []
+
+    def observed(group: int, number: int) -> None:
+        assert group == child._process.pid
+        states.append(leader.read_text().rpartition(")")[2].split()[0])
+        send(group, number)
+
+    send = os.killpg
+    monkeypatch.setattr(os, "killpg", observed)
+    while not child.ended():
+        time.sleep(0.02)
+    assert child.ended()
+    child.kill()
+    assert states == ["Z"]
+    assert not leader.exists()
+    child.close()

@@ -133,6 +133,17 @@ def parent(root: Path, jobs: int, slots: int, steps: int = 40, lease_s: int = 30
             process.kill()
 
 
+def stop_between_writes(pid: int) -> None:
+    """SIGSTOP for a worker; in the middle of a write nobody could take its run over."""
+    while True:
+        os.kill(pid, signal.SIGSTOP)
+        time.sleep(0.05)
+        if not any(each.readlink().name == "guard" for each in Path(f"/proc/{pid}/fd").iterdir()):
+            return
+        os.kill(pid, signal.SIGCONT)
+        time.sleep(0.03)
+
+
 @contextlib.contextmanager
 def meanwhile(action: Callable[[], None]) -> Iterator[None]:
     """Run `action` in a thread beside the block."""
@@ -380,7 +391,7 @@ def test_four_parents_of_which_one_is_killed_and_one_is_stopped(tmp_path: Path) 
         until(lambda: len(list(tmp_path.glob("runs/*/curve.parquet"))) == 8)
         victims, sleepers = (children(each.pid) for each in parents[:2])
         for pid in sleepers:
-            os.kill(pid, signal.SIGSTOP)
+            stop_between_writes(pid)
         for pid in (parents[0].pid, *victims):
             os.kill(pid, signal.SIGKILL)
         assert [each.wait(120) for each in parents[2:]] == [0, 0]

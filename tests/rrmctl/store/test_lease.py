@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
+import resource
+import shutil
 import signal
 import subprocess
 import sys
@@ -15,9 +18,10 @@ from pathlib import Path
 import pytest
 
 from rrmctl.store import lease as module
-from rrmctl.store.atomic import is_locked, try_lock
+from rrmctl.store.atomic import StorageError, is_locked, try_lock
 from rrmctl.store.layout import Layout, RunFolder
 from rrmctl.store.lease import Beat, Lease, LeaseLostError, Watch, read_beat
+from rrmctl.waking import WakingTime
 
 
 @pytest.fixture
@@ -39,6 +43,35 @@ def beat_of(folder: RunFolder) -> Beat:
     beat = read_beat(folder)
     assert beat is not None
     return beat
+
+
+@contextlib.contextmanager
+def no_space() -> Iterator[None]:
+    """Files can be made, and nothing written into them."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (0, hard))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+
+
+@contextlib.contextmanager
+def stopped_in_a_write(folder: RunFolder) -> Iterator[None]:
+    """Another process holds the guard and is stopped."""
+    script = (
+        "import fcntl, sys; file = open(sys.argv[1], 'a'); fcntl.flock(file, fcntl.LOCK_EX); print(flush=True); input()"
+    )
+    with subprocess.Popen(
+        [sys.executable, "-c", script, str(folder.guard)], stdin=subprocess.PIPE, stdout=subprocess.PIPE
+    ) as process:
+        try:
+            assert process.stdout is not None
+            process.stdout.readline()
+            process.send_signal(signal.SIGSTOP)
+            yield
+        finally:
+            process.kill()
 
 
 def test_one_owner_at_a_time(folder: RunFolder) -> None:
@@ -77,6 +110,103 @@ def test_a_watch_waits_for_the_length_of_a_lease_by_its_own_clock(folder: RunFol
     assert watch.expired(folder) == Beat("a", 1)
     folder.lease.write_text('{"owner": "a", "count": 2}')
     assert watch.expired(folder) is None
+
+
+def test_a_watch_speaks_once_a_lease(folder: RunFolder) -> None:
+    """Who could not take the run over does not try again before another lease has passed."""
+    now = 0.0
+    folder.lease.write_text('{"owner": "a", "count": 1}')
+    watch = Watch(30.0, lambda: now)
+    told = []
+    for now in range(100):
+        if watch.expired(folder):
+            told.append(now)
+    assert told == [30, 60, 90]
+
+
+def test_a_watch_that_was_stopped_itself_does_not_blame_the_owner(folder: RunFolder) -> None:
+    """A minute in which it saw nothing is not a minute of silence; one in which it looked is."""
+    now = 0.0
+    folder.lease.write_text('{"owner": "a", "count": 1}')
+    watch = Watch(30.0, WakingTime(lambda: now))
+    for then in (0.0, 1.0, 3600.0, 3601.0, 7200.0):
+        now = then
+        assert watch.expired(folder) is None
+    while watch.expired(folder) is None:
+        now += 1.0
+    assert 7200.0 + 20.0 <= now <= 7200.0 + 30.0
+
+
+def test_a_full_disk_does_not_end_the_signs_of_life(folder: RunFolder) -> None:
+    """When there is space again the count goes on rising, and nothing was printed; nor when the lease is given back."""
+    script = textwrap.dedent("""
+        import sys, time
+        from pathlib import Path
+        from rrmctl.store import lease as module
+        from rrmctl.store.layout import Layout
+        from tests.rrmctl.store.test_lease import no_space
+        module.BEAT_S = 0.02
+        folder = Layout(Path(sys.argv[1])).run("0" * 16)
+        lease = module.Lease.take(folder)
+        with no_space():
+            time.sleep(0.5)
+            before = module.read_beat(folder)
+        while module.read_beat(folder) == before:
+            time.sleep(0.02)
+        print("goes on")
+    """)
+    command = [sys.executable, "-c", script, str(folder.path.parents[1])]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=30, check=False)
+    assert (done.returncode, done.stdout, done.stderr) == (0, "goes on\n", "")
+
+
+def test_a_lease_on_a_folder_that_is_gone_can_be_released(folder: RunFolder) -> None:
+    """Whatever keeps the guard from being opened, leaving goes on."""
+    taken = Lease.take(folder)
+    assert taken is not None
+    shutil.rmtree(folder.path)
+    taken.release()
+    assert not folder.path.exists()
+
+
+def test_where_there_is_no_space_nothing_is_taken_over(folder: RunFolder, owner: Lease) -> None:
+    """The owner keeps both lock and lease."""
+    lock = folder.lock.stat().st_ino
+    with no_space(), pytest.raises(StorageError):
+        Lease.take(folder, stale=beat_of(folder))
+    assert folder.lock.stat().st_ino == lock
+    with owner.writing():
+        pass
+
+
+def test_one_who_waits_for_the_guard_says_so(folder: RunFolder) -> None:
+    """The holder is stopped: a write waits, tells that it does, and happens as soon as the holder is gone."""
+    waited = threading.Event()
+    taken = Lease.take(folder, waiting=waited.set)
+    assert taken is not None
+    written = threading.Event()
+
+    def write() -> None:
+        with taken.writing():
+            written.set()
+
+    with stopped_in_a_write(folder):
+        writer = threading.Thread(target=write)
+        writer.start()
+        assert waited.wait(20)
+        assert not written.is_set()
+    assert written.wait(20)
+    writer.join()
+    taken.release()
+
+
+def test_leaving_does_not_wait_for_the_guard(folder: RunFolder) -> None:
+    """The lock is free although the holder of the guard never wakes."""
+    taken = Lease.take(folder)
+    assert taken is not None
+    with stopped_in_a_write(folder):
+        taken.release()
+        assert not is_locked(folder.lock)
 
 
 @pytest.mark.parametrize("text", ["", "{}", "[]", '{"owner": "a", "count": "x"}', "\0"])
