@@ -45,8 +45,8 @@ class Outcome:
 #: Failures worth another attempt. The others would fail again in the same way.
 RETRIED = frozenset({ErrorKind.CRASHED, ErrorKind.KILLED, ErrorKind.HUNG, ErrorKind.MEMORY})
 
-#: How often a job is tried again that somebody killed, without a further evaluation in between: that is not its fault.
-KILLS = 100
+#: So many times as often is a job tried again that somebody killed: that is not its fault.
+KILLED_RETRIES = 50
 
 
 class Scheduler:
@@ -178,7 +178,7 @@ class Scheduler:
         if error.kind not in RETRIED:
             return Phase.FAILED
         killed = error.kind is ErrorKind.KILLED
-        count, most = (self._kills, KILLS) if killed else (self._crashes, self._retries)
+        count, most = (self._kills, KILLED_RETRIES * self._retries) if killed else (self._crashes, self._retries)
         count[job] += 1
         return Phase.FAILED if count[job] > most else Phase.WAITING
 

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rrmctl.errors import Exit
-from rrmctl.running.scheduler import KILLS, Ending, Outcome, Phase, Scheduler
+from rrmctl.running.scheduler import KILLED_RETRIES, Ending, Outcome, Phase, Scheduler
 from rrmctl.store.records import ErrorKind, RunError
 
 DONE, STOPPED, ELSEWHERE = (Outcome(ending) for ending in (Ending.DONE, Ending.STOPPED, Ending.ELSEWHERE))
@@ -82,7 +82,7 @@ def test_progress_forgives_crashes() -> None:
 def test_being_killed_is_not_the_job_s_fault() -> None:
     """Somebody who kills what they can find must go on for long before a job is given up; its own crashes count."""
     scheduler = Scheduler("a", slots=1)
-    for _ in range(KILLS):
+    for _ in range(2 * KILLED_RETRIES):
         start_all(scheduler)
         assert scheduler.end("a", failed(ErrorKind.KILLED)) is Phase.WAITING
     for expected in (Phase.WAITING, Phase.WAITING, Phase.FAILED):
