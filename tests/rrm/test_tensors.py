@@ -56,5 +56,5 @@ def test_a_flipped_bit_is_refused_or_changes_nothing(data):
 )
 def test_what_is_no_such_file_is_refused(content):
     """Whatever it is instead."""
-    with pytest.raises(ValueError, match="."):
+    with pytest.raises(ValueError, match=r"."):
         decode(content, "told")
