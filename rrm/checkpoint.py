@@ -16,17 +16,17 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import safetensors
-import safetensors.numpy
 import torch
 
-from rrm.errors import CheckpointError, ConfigError, NumericalError
+from rrm import tensors
+from rrm.errors import CheckpointError, ConfigError, MissingResultError, NumericalError
 from rrm.files import naming, sync_folder, write_atomically
 from rrm.types import State
 
 #: Of the layout written here; another version is refused with its number.
 FORMAT = 2
 KEPT = 2  #: newest checkpoints that stay
+_TREE = "tree"  # entry of the header
 _BLOCK = 1 << 22  # bytes of a log in memory while it is read back
 
 
@@ -38,7 +38,7 @@ def encode(state: State) -> bytes:
     """
     arrays: dict[str, np.ndarray[Any, Any]] = {}
     tree = _split(state, "state", arrays)
-    return safetensors.numpy.save(arrays, {"tree": json.dumps(tree)})
+    return tensors.encode(arrays, _TREE, tree)
 
 
 def check_finite(state: State) -> None:
@@ -47,9 +47,9 @@ def check_finite(state: State) -> None:
     Raises:
         NumericalError: a tensor of floating-point numbers holds NaN or infinity; the message names it.
     """
-    tensors: dict[str, np.ndarray[Any, Any]] = {}
-    _split(state, "state", tensors)
-    for path, values in tensors.items():
+    arrays: dict[str, np.ndarray[Any, Any]] = {}
+    _split(state, "state", arrays)
+    for path, values in arrays.items():
         bad = values.size - np.isfinite(values).sum() if values.dtype.kind == "f" else 0
         if bad:
             raise NumericalError(f"{path.removeprefix('state/')} is not finite in {bad:,} of {values.size:,} numbers")
@@ -59,16 +59,37 @@ def decode(data: bytes) -> State:
     """The state that `encode` was given, tensors on the CPU.
 
     Raises:
-        CheckpointError: the bytes are not such a file.
+        CheckpointError: the bytes are not such a file, or damaged.
     """
     try:
-        arrays = safetensors.numpy.load(data)
-        header = int.from_bytes(data[:8], "little")
-        tree = json.loads(json.loads(data[8 : 8 + header])["__metadata__"]["tree"])
-    except (safetensors.SafetensorError, ValueError, KeyError) as error:
+        arrays, tree = tensors.decode(data, _TREE)
+        joined: State = _join(tree, arrays)
+    except (ValueError, KeyError) as error:
         raise CheckpointError(f"not a saved state: {error}") from error
-    joined: State = _join(tree, arrays)
     return joined
+
+
+def read_networks(path: Path, what: str) -> State:
+    """The state that a finished run left in a file.
+
+    Args:
+        what: the file is to the reader, for messages.
+
+    Raises:
+        MissingResultError: there is none, or it is damaged; the message says how to make it again.
+        OSError: it cannot be read now, which says nothing about what it holds.
+    """
+    try:
+        return decode(path.read_bytes())
+    except (FileNotFoundError, NotADirectoryError) as error:
+        raise MissingResultError(f"{path}, {what}, is missing: {again(path)}") from error
+    except CheckpointError as error:
+        raise MissingResultError(f"{path}, {what}, is damaged ({error}): {again(path)}") from error
+
+
+def again(path: Path) -> str:
+    """What to do where a file that a finished run left behind is of no use, in words."""
+    return f"bring it back, or remove {path.parent} and run the experiment again with --retry-failed"
 
 
 def _split(node: Any, path: str, arrays: dict[str, np.ndarray[Any, Any]]) -> Any:
@@ -177,6 +198,7 @@ class Checkpoints:
         """Hand the newest intact state to `restore`, the next older one if that raises `CheckpointError`.
 
         Damaged checkpoints are set aside as `damaged-...`, so that they cannot stand before the good ones that follow.
+        What processes that died in the middle of a checkpoint left behind is removed: nobody else may be writing here.
 
         Returns:
             The step of that state; None when there is no usable checkpoint (see `skipped`).
@@ -185,6 +207,7 @@ class Checkpoints:
             ConfigError: the checkpoint was written in another format.
             OSError: a file cannot be read now; nothing is set aside.
         """
+        self._remove_leftovers()
         self.skipped, markers = [], self._markers()
         self.newest = int(markers[0].stem.removeprefix("state-")) if markers else 0
         for marker in markers:
@@ -197,8 +220,16 @@ class Checkpoints:
                 self._set_aside(marker)
         return None
 
+    def _remove_leftovers(self) -> None:
+        """Remove files that were not written to their end, and states whose marker was not, or is set aside."""
+        markers = set(self._markers())
+        states = (path for path in self.folder.glob("state-*.safetensors") if path.with_suffix(".json") not in markers)
+        for path in (*self.folder.glob(".*.tmp"), *states):
+            path.unlink(missing_ok=True)
+
     def _set_aside(self, marker: Path) -> None:
         marker.replace(marker.with_name(f"damaged-{marker.name}"))
+        sync_folder(self.folder)
 
     def _markers(self) -> list[Path]:
         return sorted(self.folder.glob("state-*.json"), reverse=True)

@@ -16,7 +16,9 @@ class Exit(IntEnum):
 
 
 class UserError(Exception):
-    """One clear message for a person: what, where, what to do. Becomes exit code 2 without a traceback."""
+    """One clear message for a person: what, where, what to do. Becomes an exit code without a traceback."""
+
+    code = Exit.USAGE
 
     def __init__(self, message: str, hint: str | None = None) -> None:
         super().__init__(message)

@@ -3,13 +3,11 @@
 Tensors: `obs` and `next_obs` float32 [n, O], `act` float32 [n, A], `terminated` uint8 [n], all episodes one behind the
 other; `lengths` int64 [E], `returns` float64 [E] (true, undiscounted), `successes` float64 [E] (NaN where the task has
 no such notion). The header has one entry, `demonstrations`: a JSON object whose `format` names this layout and whose
-`provenance` is an object with `task`, `source`, and whatever else is known. One entry, because safetensors writes
-several in any order, and equal demonstrations should be equal files.
+`provenance` is an object with `task`, `source`, and whatever else is known; see `rrm.tensors` for its checksum.
 """
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,9 +15,8 @@ from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 import numpy.typing as npt
-import safetensors
-import safetensors.numpy
 
+from rrm import tensors
 from rrm.errors import DemosError
 from rrm.files import write_atomically
 
@@ -62,25 +59,24 @@ class Demonstrations:
 
     def save(self, path: Path) -> None:
         """Write the file, whole or not at all. Raises OSError where there is no room or permission."""
-        told = json.dumps({"format": FORMAT, "provenance": dict(self.provenance)}, sort_keys=True)
+        told = {"format": FORMAT, "provenance": dict(self.provenance)}
         arrays = {name: np.ascontiguousarray(getattr(self, name)) for name in _KINDS}
-        write_atomically(path, safetensors.numpy.save(arrays, {_ENTRY: told}))
+        write_atomically(path, tensors.encode(arrays, _ENTRY, told))
 
     @classmethod
     def load(cls, path: Path) -> Self:
         """The demonstrations in a file.
 
         Raises:
-            DemosError: there is none, it is not one of demonstrations, or its tensors do not fit together.
+            DemosError: there is none, it is not one of demonstrations, damaged, or its tensors do not fit together.
+            OSError: it cannot be read now, which says nothing about what it holds.
         """
         try:
-            with safetensors.safe_open(path, framework="numpy") as file:
-                header = file.metadata() or {}
-                arrays = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118  (it is no mapping)
-        except (OSError, safetensors.SafetensorError) as error:
+            arrays, told = tensors.decode(path.read_bytes(), _ENTRY)
+        except (FileNotFoundError, NotADirectoryError, IsADirectoryError, ValueError) as error:
             raise DemosError(f"{path} cannot be read as demonstrations: {error}") from error
-        provenance = _provenance(header.get(_ENTRY, ""))
-        if provenance is None:
+        provenance = told.get("provenance")
+        if told.get("format") != FORMAT or not isinstance(provenance, dict):
             raise DemosError(f"{path} is not a file of demonstrations: its header does not say {FORMAT}")
         missing = [name for name in _KINDS if name not in arrays]
         if missing:
@@ -122,17 +118,6 @@ class Demonstrations:
                 f"{where}: observations of {shapes[0]} and actions of {shapes[1]} numbers; "
                 f"{task.name} has {task.obs_dim} and {task.act_dim}"
             )
-
-
-def _provenance(text: str) -> dict[str, Any] | None:
-    try:
-        told = json.loads(text)
-    except ValueError:
-        return None
-    if not isinstance(told, dict) or told.get("format") != FORMAT or not isinstance(told.get("provenance"), dict):
-        return None
-    provenance: dict[str, Any] = told["provenance"]
-    return provenance
 
 
 _KINDS: dict[str, tuple[type[np.generic], int]] = {

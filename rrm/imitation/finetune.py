@@ -50,7 +50,7 @@ class GradientLog:
             "loss": names,
             "gradient_norm": pa.array(self._norms, pa.float64()),
         }
-        write_table(path, pa.table(columns))
+        write_table(path, pa.table(columns), write_page_checksum=True)
 
     def state_dict(self) -> State:
         return {

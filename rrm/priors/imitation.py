@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from rrm.errors import CheckpointError, MissingResultError, PriorError
+from rrm.errors import MissingResultError, PriorError
 
 if TYPE_CHECKING:
     from rrm.envs.tasks import Task
@@ -61,17 +61,9 @@ class ImitationPrior:
 
 
 def _read(path: Path) -> State:
-    from rrm.checkpoint import decode
+    from rrm.checkpoint import read_networks
 
-    try:
-        kept: State | None = decode(path.read_bytes()).get("imitation")
-    except OSError as error:
-        raise MissingResultError(
-            f"{path}, which holds the imitation prior, cannot be read: {error.strerror}; bring it back, or remove its "
-            "folder and run the experiment again"
-        ) from error
-    except CheckpointError as error:
-        raise MissingResultError(f"{path}, which holds the imitation prior, is damaged: {error}") from error
+    kept: State | None = read_networks(path, "which holds the imitation prior").get("imitation")
     if kept is None:
         raise MissingResultError(f"{path} holds no imitation prior: another kind of run wrote it")
     return kept

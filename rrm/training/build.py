@@ -8,8 +8,9 @@ from pathlib import Path
 import torch
 
 from rrm.buffers.experience import Experience
+from rrm.checkpoint import again
 from rrm.config import IMITATION
-from rrm.errors import MissingResultError
+from rrm.errors import DemosError, MissingResultError
 from rrm.imitation.demos import Demonstrations
 from rrm.imitation.finetune import Finetune, ImitatedReward
 from rrm.interfaces import RewardFunction, RewardLearner
@@ -96,7 +97,12 @@ def build_imitation(config: RunConfig, experience: Experience, streams: Streams,
         return None
     named = config.imitation.demos
     path = Path(named) if named is not None else result_of(results, config.imitation.demos_run, DEMOS)
-    demos = Demonstrations.load(path)
+    try:
+        demos = Demonstrations.load(path)
+    except DemosError as error:
+        if named is not None:
+            raise
+        raise MissingResultError(f"{error}: {again(path)}") from error
     demos.check(config.spec(), str(path))
     return Imitation(config, demos, experience, streams)
 

@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 
 from rrm.agents.sac import Sac
-from rrm.checkpoint import decode
+from rrm.checkpoint import again, read_networks
 from rrm.envs import make
-from rrm.errors import CheckpointError, DemosError, MissingResultError
+from rrm.errors import DemosError, MissingResultError
 from rrm.imitation.demos import Demonstrations
 from rrm.interfaces import Env, Floats
 from rrm.seeding import Streams
@@ -33,15 +33,10 @@ def expert_policy(config: RunConfig, model: Path) -> Policy:
     """
     spec = config.spec()
     agent = Sac(config.agent, spec.obs_dim, spec.act_dim, Streams(config.seed), precision=config.precision)
-    try:
-        agent.load_state_dict(decode(model.read_bytes())["agent"])
-    except OSError as error:
-        raise MissingResultError(
-            f"{model}, the expert's networks, cannot be read: {error.strerror}; bring it back, or remove its folder "
-            "and run the experiment again"
-        ) from error
-    except (CheckpointError, KeyError) as error:
-        raise MissingResultError(f"{model} does not hold the expert's networks: {error}") from error
+    networks = read_networks(model, "the expert's networks")
+    if "agent" not in networks:
+        raise MissingResultError(f"{model} does not hold the expert's networks: {again(model)}")
+    agent.load_state_dict(networks["agent"])
     return lambda obs: agent.act(obs, explore=False)
 
 

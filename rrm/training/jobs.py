@@ -15,7 +15,7 @@ import torch
 
 from rrm.checkpoint import KEPT, Checkpoints, check_finite, encode
 from rrm.errors import NumericalError, PriorError
-from rrm.files import write_atomically
+from rrm.files import make_folder, write_atomically
 from rrm.training.build import DEMOS, Results, result_of
 from rrm.training.config import RunConfig
 from rrm.training.demonstrate import demonstrate, expert_policy
@@ -117,7 +117,7 @@ def train(
     torch.set_num_threads(config.threads)
     checkpoints = Checkpoints(folder / "checkpoint")
     with monitor.writing():  # what is damaged is set aside
-        checkpoints.folder.mkdir(parents=True, exist_ok=True)
+        make_folder(checkpoints.folder)
         trainer = _restore(config, results, checkpoints, monitor)
     monitor.restored(trainer.rows)
     try:
@@ -228,10 +228,10 @@ class _Session:
 
     def _save(self) -> None:
         trainer = self.trainer
+        check_finite(trainer.weights())
         if trainer.step == trainer.config.steps:
             return  # the run is over; its networks are written instead
         with self.monitor.writing():
-            check_finite(trainer.weights())
             state = trainer.save(self.checkpoints.folder)
             self.checkpoints.save(trainer.step, state)
             self._generations.append(trainer.experience.generation)

@@ -32,6 +32,7 @@ class _Commands(TyperGroup):
             return super().invoke(ctx)
         except UserError as error:
             _say(str(error), error.hint)
+            raise typer.Exit(error.code) from None
         except RrmError as error:
             _say(str(error), None)
         except OSError as error:

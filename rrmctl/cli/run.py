@@ -233,8 +233,9 @@ def _is_open(status: Status, *, retry_failed: bool) -> bool:
 def _record(console: Console, layout: Layout, plan: Plan) -> SweepRecord:
     """Write down what was asked for, and return it: first every run's configuration, then the sweep that names them."""
     from rrmctl.running.runfile import config_content
-    from rrmctl.store.records import SweepRecord, record_config, record_sweep
+    from rrmctl.store.records import SweepRecord, read_sweep, record_config, record_sweep
 
+    read_sweep(layout.sweep(plan.experiment, plan.variant))  # one that cannot be added to is refused first
     for job in plan.everything:
         note = record_config(layout.run(job.id), config_content(job.config))
         if note is not None:

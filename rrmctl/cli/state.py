@@ -201,7 +201,7 @@ def show(
 
 
 def _sections(layout: Layout, folder: RunFolder, lines: int) -> list[tuple[str, str]]:
-    from rrmctl.store.atomic import read_json
+    from rrmctl.store.provenance import read_provenance
     from rrmctl.store.reader import log_tail, read_config, run_status
     from rrmctl.store.records import readable_sweeps
 
@@ -215,7 +215,7 @@ def _sections(layout: Layout, folder: RunFolder, lines: int) -> list[tuple[str, 
         (f"run {folder.id}", "\n".join([str(folder.path), *(f"{s.experiment}: {j.label}" for s, j in uses)])),
         ("state", state + (f"\n{now.error}" if now.error else "")),
         ("configuration", _or_damage(lambda: json.dumps(read_config(folder), indent=1))),
-        ("provenance", _or_damage(lambda: _provenance(read_json(folder.provenance)))),
+        ("provenance", _or_damage(lambda: _provenance(read_provenance(folder)))),
         ("last evaluations", _or_damage(lambda: _last_rows(folder))),
         ("end of the log", "\n".join(log_tail(folder, lines) if lines else [])),
         ("again, from nothing", "\n".join(again)),

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING
 from rrmctl.errors import UserError
 from rrmctl.reports.settings import DEFAULTS, Settings
 from rrmctl.reports.tables import CURVE_COLUMNS, curve_table
-from rrmctl.store.atomic import write_table
+from rrmctl.store.atomic import remove_leftovers, write_table
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -55,7 +55,9 @@ def write(layout: Layout, sections: Sequence[Section], settings: Settings = DEFA
     for experiment, rows in curves:
         # from_pandas=False: a NaN stays a number and does not become a null.
         columns = [pa.array(rows[name].to_numpy(), kind, from_pandas=False) for name, kind in _kinds()]
-        write_table(layout.aggregate(str(experiment)), pa.Table.from_arrays(columns, schema=schema()))
+        path = layout.aggregate(str(experiment))
+        remove_leftovers(path.parent)
+        write_table(path, pa.Table.from_arrays(columns, schema=schema()))
     if mixed:
         raise UserError(f"{', '.join(sorted(mixed))}: runs that are mixed are not kept as one curve")
 

@@ -145,7 +145,7 @@ def main(argv: Sequence[str] | None = None, trainer: Trainer | None = None) -> W
         try:
             read_config(folder)
             with stop.at_once():
-                lease = Lease.take(folder, patience_s=1.0, stale=given.take_over, waiting=pipe.wait)
+                lease = Lease.take(folder, patience_s=atomic.PATIENCE_S, stale=given.take_over, waiting=pipe.wait)
         except Leave:
             return WorkerExit.STOPPED
         except UserError as error:
@@ -318,10 +318,11 @@ def _reason(folder: RunFolder, error: Exception) -> tuple[WorkerExit, RunError]:
     from rrm.errors import RrmError
 
     if isinstance(error, OSError) and error.errno in atomic.STORAGE_ERRNOS:
-        error = atomic.storage_error(Path(error.filename or folder.path), error)
+        error = atomic.storage_error(Path(error.filename or folder.path), error, "read or write")
     name = type(error).__name__
     if isinstance(error, atomic.StorageError):
-        return WorkerExit.STORAGE, RunError(kind=ErrorKind.STORAGE, type=name, message=_told(error))
+        message = f"{error} ({error.todo}, then `rrmctl resume` goes on)"
+        return WorkerExit.STORAGE, RunError(kind=ErrorKind.STORAGE, type=name, message=message)
     if isinstance(error, UserError | RrmError):
         return WorkerExit.REFUSED, RunError(kind=ErrorKind.REFUSED, type=name, message=_told(error))
     return WorkerExit.CRASHED, RunError(kind=ErrorKind.CRASHED, type=name, message=str(error))

@@ -14,8 +14,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rrm import parquet
-from rrm.files import sync_folder, write_atomically
-from rrmctl.errors import UserError
+from rrm.files import make_folder, sync_folder, write_atomically
+from rrmctl.errors import Exit, UserError
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -23,24 +23,51 @@ if TYPE_CHECKING:
 #: What the operating system says when it is the place, not the program, that cannot take a write.
 STORAGE_ERRNOS = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EACCES, errno.EPERM, errno.EIO, errno.EFBIG})
 
-_FULL = frozenset({errno.ENOSPC, errno.EDQUOT})
+_FULL = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EFBIG})
+
+#: Long enough for a lock that only readers hold, who have it for an instant; seconds.
+PATIENCE_S = 1.0
+#: After so long nobody is still writing a temporary file, seconds.
+_LEFT_S = 600.0
 
 
 class StorageError(UserError):
-    """The results folder took no write. What was written before stays as it is."""
+    """The results folder took no write, or could not be read just now. What was written before stays as it is.
+
+    Args:
+        todo: what a person should do before going on.
+        code: the exit code of a command that cannot go on.
+    """
+
+    def __init__(self, message: str, todo: str, code: Exit = Exit.USAGE) -> None:
+        super().__init__(message, f"{todo}, then run the same command again")
+        self.todo = todo
+        self.code = code
 
 
 class DamagedError(UserError):
     """A file of the store does not hold what it should."""
 
 
-def storage_error(path: Path, error: OSError) -> StorageError:
-    """The message for a write to `path` that failed with `error`."""
-    todo = "make space" if error.errno in _FULL else "make the folder writable, or choose another with --results"
+class VersionError(UserError):
+    """A file of the store is of another schema version: whole, and not for this program."""
+
+
+def storage_error(path: Path, error: OSError, what: str = "write") -> StorageError:
+    """The message for `path`, with which one could not do `what`."""
+    full = error.errno in _FULL
+    todo = "make space" if full else "make the folder writable, or choose another with --results"
     return StorageError(
-        f"cannot write {path}: {error.strerror or error}",
-        f"what was written before is untouched; {todo}, then `rrmctl resume` goes on",
+        f"cannot {what} {path}: {error.strerror or error}",
+        f"what was written before is untouched; {todo}",
+        Exit.INCOMPLETE if full else Exit.USAGE,
     )
+
+
+def unreadable(path: Path, error: OSError) -> StorageError:
+    """The message for `path`, which cannot be read now: that says nothing about what it holds."""
+    todo = "nothing was touched; see that the file can be read"
+    return StorageError(f"{path} cannot be read now: {error.strerror or error}", todo)
 
 
 def write_bytes(path: Path, data: bytes) -> None:
@@ -66,7 +93,7 @@ def write_table(path: Path, table: pa.Table, **settings: Any) -> None:
 @contextlib.contextmanager
 def _storing(path: Path) -> Iterator[None]:
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
+        make_folder(path.parent)
         yield
     except OSError as error:
         raise storage_error(path, error) from error
@@ -91,7 +118,8 @@ def read_json(path: Path) -> dict[str, Any] | None:
     """The object in `path`; None where there is no such file.
 
     Raises:
-        DamagedError: the file cannot be read, does not hold a JSON object, or not the one its checksum is of.
+        DamagedError: the file does not hold a JSON object, or not the one its checksum is of.
+        StorageError: it cannot be read now.
     """
     try:
         with path.open("rb") as file:
@@ -99,7 +127,9 @@ def read_json(path: Path) -> dict[str, Any] | None:
         value = json.loads(data)
     except (FileNotFoundError, NotADirectoryError):
         return None
-    except (OSError, ValueError) as error:
+    except OSError as error:
+        raise unreadable(path, error) from error
+    except ValueError as error:
         raise DamagedError(f"{path} cannot be read: {error}", "move it away; what it recorded is made again") from error
     if not isinstance(value, dict):
         raise DamagedError(f"{path} does not hold a JSON object", "move it away; what it recorded is made again")
@@ -114,9 +144,11 @@ def read_json(path: Path) -> dict[str, Any] | None:
 
 
 def remove_leftovers(folder: Path) -> None:
-    """Remove temporary files of writers that died in `folder`. Only for the one that owns the folder."""
+    """Remove temporary files of writers that died in `folder`. Young ones may be those of somebody at work."""
     for path in folder.glob(".*.tmp"):
-        path.unlink(missing_ok=True)
+        with contextlib.suppress(FileNotFoundError):
+            if time.time() - path.stat().st_mtime > _LEFT_S:
+                path.unlink()
 
 
 def set_aside(path: Path, suffix: str) -> Path:
@@ -139,7 +171,7 @@ def try_lock(path: Path, patience_s: float = 0.0) -> int | None:
         StorageError: the file cannot be created.
     """
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
+        make_folder(path.parent)
         descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o666)
     except OSError as error:
         raise storage_error(path, error) from error
@@ -174,7 +206,7 @@ def locked(path: Path) -> Iterator[None]:
     """Hold the exclusive lock behind `path`, waiting for it; for moments, not for runs."""
     descriptor = try_lock(path, patience_s=60.0)
     if descriptor is None:
-        raise StorageError(f"{path} was held by another process for a minute", "is an rrmctl paused in its middle?")
+        raise StorageError(f"{path} was held by another process for a minute", "see whether an rrmctl is paused")
     try:
         yield
     finally:

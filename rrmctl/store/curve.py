@@ -6,8 +6,9 @@ import zlib
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from rrmctl.store import shape
 from rrmctl.store.atomic import DamagedError
-from rrmctl.store.schema import CHECKSUM_KEY, IDENTITY, SCHEMA_VERSION, VERSION_KEY, curve_schema
+from rrmctl.store.schema import CHECKSUM_KEY, IDENTITY, VERSION_KEY, curve_schema
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -32,7 +33,8 @@ def decode(data: bytes, path: Path) -> pa.Table:
     """The table in a parquet file of this name.
 
     Raises:
-        DamagedError: it is not an intact curve of this schema version.
+        DamagedError: it is not an intact curve.
+        VersionError: it is of another schema version.
     """
     import pyarrow as pa
     import pyarrow.parquet as pq
@@ -40,12 +42,11 @@ def decode(data: bytes, path: Path) -> pa.Table:
     try:
         file = pq.ParquetFile(pa.BufferReader(data), page_checksum_verification=True)
         metadata = file.schema_arrow.metadata or {}
-        version = metadata.get(VERSION_KEY, b"none").decode()
+        version = int(metadata.get(VERSION_KEY, b"none"))
         table: pa.Table = file.read(use_threads=False)  # callers read many files at a time
     except (pa.ArrowException, OSError, ValueError) as error:
         raise DamagedError(f"{path} is damaged: {error}", _AGAIN) from error
-    if version != str(SCHEMA_VERSION):
-        raise DamagedError(f"{path} is of schema version {version}, this program reads {SCHEMA_VERSION}", _AGAIN)
+    shape.check_version({"schema_version": version}, path, _AGAIN)
     if not table.schema.equals(curve_schema()):
         raise DamagedError(f"{path} is damaged: its columns are not those of a curve", _AGAIN)
     if metadata.get(CHECKSUM_KEY) != _checksum(table):

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rrmctl.store.atomic import DamagedError
+from rrmctl.store.atomic import DamagedError, unreadable
 from rrmctl.store.layout import Layout, RunFolder
 
 if TYPE_CHECKING:
@@ -26,7 +26,8 @@ def load_gradients(results: str | Path, runs: Sequence[str]) -> pd.DataFrame:
         Columns `run`, `step` (environment steps), `loss` (text) and `gradient_norm`.
 
     Raises:
-        DamagedError: a file cannot be read, or has other columns.
+        DamagedError: a file is damaged, or has other columns.
+        StorageError: it cannot be read now.
     """
     import pandas as pd
 
@@ -36,13 +37,19 @@ def load_gradients(results: str | Path, runs: Sequence[str]) -> pd.DataFrame:
 
 
 def _read(folder: RunFolder) -> pd.DataFrame:
-    import pandas as pd
+    import pyarrow as pa
+    import pyarrow.parquet as pq
 
     hint = "train the run again with --force, or remove the file"
     try:
-        frame = pd.read_parquet(folder.gradients)
-    except (OSError, ValueError) as error:  # pyarrow's errors are of these kinds
-        raise DamagedError(f"{folder.gradients} cannot be read: {error}", hint) from error
+        data = folder.gradients.read_bytes()
+    except OSError as error:
+        raise unreadable(folder.gradients, error) from error
+    try:
+        file = pq.ParquetFile(pa.BufferReader(data), page_checksum_verification=True)
+        frame: pd.DataFrame = file.read().to_pandas()
+    except (pa.ArrowException, OSError, ValueError) as error:
+        raise DamagedError(f"{folder.gradients} is damaged: {error}", hint) from error
     if tuple(frame.columns) != _COLUMNS:
         raise DamagedError(f"{folder.gradients} is damaged: its columns are {', '.join(frame.columns)}", hint)
     return frame.astype({"loss": str}).assign(run=folder.id)[["run", *_COLUMNS]]

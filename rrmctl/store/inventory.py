@@ -9,8 +9,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from rrmctl.store.atomic import read_json
 from rrmctl.store.layout import RunFolder
+from rrmctl.store.provenance import read_provenance
 from rrmctl.store.reader import PLANNED, open_results, planned, read_config, read_curve
 from rrmctl.store.schema import LABELS, MEASURED, curve_schema
 
@@ -86,7 +86,7 @@ def _run(folder: RunFolder, plan: dict[str, Any]) -> Run:
     rows = read_curve(folder)
     curve: pd.DataFrame = (curve_schema().empty_table() if rows is None else rows).to_pandas()
     config = read_config(folder) if folder.config.exists() else None
-    return Run(plan=plan, config=config, provenance=read_json(folder.provenance), curve=curve[list(MEASURED)])
+    return Run(plan=plan, config=config, provenance=read_provenance(folder), curve=curve[list(MEASURED)])
 
 
 def settings(config: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:

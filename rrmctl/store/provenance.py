@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from rrmctl.machine import cpu_model
+from rrmctl.store import shape
 from rrmctl.store.atomic import read_json, write_json
 from rrmctl.store.layout import RunFolder
 from rrmctl.store.schema import SCHEMA_VERSION
@@ -66,20 +67,38 @@ def collect(config: Mapping[str, Any], fingerprint: Mapping[str, str], argv: Seq
     )
 
 
+def read_provenance(folder: RunFolder) -> dict[str, Any] | None:
+    """The run's `provenance.json`; None where it was never started.
+
+    Raises:
+        DamagedError: the file is damaged.
+        StorageError: it cannot be read now.
+        VersionError: it is of another schema version.
+    """
+    known = read_json(folder.provenance)
+    if known is not None:
+        hint = "move it away; what the run ran with until now is then unknown"
+        shape.check_version(dict(known), folder.provenance, hint)
+    return known
+
+
 def record(folder: RunFolder, now: Provenance) -> list[str]:
     """Write the provenance of a run's first attempt, or add that of a later one.
+
+    Where earlier attempts have left something and their provenance is gone, what is written is marked `lost`.
 
     Returns:
         What differs from the attempt before, one line each, such as `versions.torch: 2.6.0 -> 2.7.1`.
 
     Raises:
-        DamagedError: the file that is there is damaged.
+        DamagedError, VersionError: the file that is there is damaged, or of another version.
         StorageError: the folder takes no write.
     """
-    known = read_json(folder.provenance)
+    known = read_provenance(folder)
     facts = dataclasses.asdict(now)
     if known is None:
-        write_json(folder.provenance, {"schema_version": SCHEMA_VERSION, **facts, "resumed": []})
+        lost = {"lost": True} if folder.curve.exists() or folder.checkpoint.exists() else {}
+        write_json(folder.provenance, {"schema_version": SCHEMA_VERSION, **facts, **lost, "resumed": []})
         return []
     changes = differences(_latest(known), facts)
     entry = {name: facts[name] for name in _CIRCUMSTANCES} | {"changes": changes}
@@ -92,12 +111,12 @@ def made_with(folder: RunFolder) -> dict[str, str]:
     """The compared facts of a run by dotted name; `a, then b` where a later attempt differed. Empty without a record.
 
     Raises:
-        DamagedError: the file that is there is damaged.
+        UserError: the file that is there is damaged, cannot be read now, or is of another schema version.
     """
-    known = read_json(folder.provenance)
+    known = read_provenance(folder)
     if known is None:
         return {}
-    facts = _flat(known)
+    facts = {name: f"unknown, then {value}" if known.get("lost") else value for name, value in _flat(known).items()}
     for entry in known.get("resumed", []):
         for name, (before, after) in entry["changes"].items():
             facts[name] = f"{facts.get(name, before)}, then {after}"
@@ -136,7 +155,7 @@ def _flat(facts: Mapping[str, Any]) -> dict[str, str]:
     """The compared facts as text, by dotted name; facts that are flat already stay as they are."""
     flat: dict[str, str] = {}
     for name, value in facts.items():
-        if name in (*_CIRCUMSTANCES, "resumed", "schema_version"):
+        if name in (*_CIRCUMSTANCES, "resumed", "lost", "schema_version"):
             continue
         if isinstance(value, Mapping):
             flat |= {f"{name}.{key}": str(item) for key, item in value.items()}

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 from rrmctl.errors import UserError
 from rrmctl.store import shape
-from rrmctl.store.atomic import DamagedError, is_locked, read_json
+from rrmctl.store.atomic import DamagedError, StorageError, is_locked, read_json, unreadable
 from rrmctl.store.curve import decode
 from rrmctl.store.layout import Layout, RunFolder
 from rrmctl.store.records import ErrorKind, JobRecord, RunError, State, Status, SweepRecord, read_status, read_sweeps
@@ -26,12 +26,15 @@ if TYPE_CHECKING:
 def run_status(folder: RunFolder) -> Status:
     """Where the run stands now: one that says it is running while nobody holds its lock is interrupted.
 
-    A damaged status file gives the state `unreadable` with the reason.
+    A status file that is damaged, or cannot be read now, gives the state `unreadable` with the reason.
+
+    Raises:
+        VersionError: it is of another schema version.
     """
     try:
         status = read_status(folder)
-    except DamagedError as error:
-        problem = RunError(kind=ErrorKind.STORAGE, type="DamagedError", message=str(error))
+    except (DamagedError, StorageError) as error:
+        problem = RunError(kind=ErrorKind.STORAGE, type=type(error).__name__, message=str(error))
         return Status(state=State.UNREADABLE, error=problem)
     if status.state is State.RUNNING and not is_locked(folder.lock):
         return dataclasses.replace(status, state=State.INTERRUPTED)
@@ -86,8 +89,8 @@ def read_config(folder: RunFolder) -> dict[str, Any]:
     """The run's `config.json`.
 
     Raises:
-        DamagedError: it cannot be read, or lacks what every configuration has.
-        UserError: there is none.
+        DamagedError: it is damaged, or lacks what every configuration has.
+        UserError: there is none, or it cannot be read now.
     """
     config = read_json(folder.config)
     if config is None:
@@ -118,7 +121,9 @@ def read_curve(folder: RunFolder) -> pa.Table | None:
     """The run's curve as an arrow table; None before its first evaluation.
 
     Raises:
-        DamagedError: the file is not an intact curve of this schema version, or is another run's.
+        DamagedError: the file is not an intact curve, or is another run's.
+        StorageError: it cannot be read now.
+        VersionError: it is of another schema version.
     """
     path = folder.curve
     try:
@@ -127,7 +132,7 @@ def read_curve(folder: RunFolder) -> pa.Table | None:
     except (FileNotFoundError, NotADirectoryError):
         return None
     except OSError as error:
-        raise DamagedError(f"{path} cannot be read: {error.strerror}", "check its permissions") from error
+        raise unreadable(path, error) from error
     table = decode(data, path)
     others = set(table["run"].unique().to_pylist()) - {folder.id}
     if others:
@@ -142,7 +147,7 @@ def lost_rows(folder: RunFolder, status: Status) -> str | None:
     """What is wrong with the curve of a run that is done, in words; None when every evaluation is there."""
     try:
         table = read_curve(folder)
-    except DamagedError as error:
+    except (DamagedError, StorageError) as error:
         return str(error)
     rows = 0 if table is None else table.num_rows
     if rows >= status.rows:
@@ -283,6 +288,8 @@ def _unplanned(layout: Layout, known: set[str]) -> pd.DataFrame:
 
     rows = []
     for run in (name for name in layout.run_ids() if name not in known):
+        if not layout.run(run).config.exists():
+            continue  # somebody is about to write it, or died there: nothing has been run yet
         config, status = read_config(layout.run(run)), run_status(layout.run(run))
         told = {key: config.get(key) for key in ("profile", "task", "method", "seed", "cell", "steps")}
         blank = {"experiment": "", "variant": "", "overrides": "{}", "teacher": "", "feedback": ""}

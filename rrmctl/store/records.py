@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 import dataclasses
+import graphlib
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
 from pathlib import Path
 from typing import Any, Self
 
+from rrmctl.errors import UserError
 from rrmctl.store import shape
 from rrmctl.store.atomic import (
+    PATIENCE_S,
     DamagedError,
+    StorageError,
     locked,
     read_json,
     remove_leftovers,
@@ -32,7 +36,7 @@ class State(StrEnum):
     INTERRUPTED = "interrupted"  #: stopped or died before its end; goes on from its checkpoint
     FAILED = "failed"  #: its own fault; see the error
     DONE = "done"
-    UNREADABLE = "unreadable"  #: its status file is damaged
+    UNREADABLE = "unreadable"  #: its status file is damaged, or cannot be read now
     BLOCKED = "blocked"  #: a run that it needs has failed; never written, see `rrmctl.store.reader.statuses`
 
 
@@ -96,10 +100,11 @@ class Status:
         """The status read from `path`.
 
         Raises:
-            DamagedError: it is of another version, or lacks or mistakes a field.
+            VersionError: it is of another schema version.
+            DamagedError: it lacks or mistakes a field.
         """
         content = dict(value)
-        _check_version(content.pop("schema_version", None), path)
+        shape.check_version(content, path, _STATUS_HINT)
         shape.check(content, _STATUS, path, _STATUS_HINT)
         error = content.pop("error")
         if error is not None:
@@ -130,6 +135,8 @@ def read_status(folder: RunFolder) -> Status:
 
     Raises:
         DamagedError: the file is damaged.
+        StorageError: it cannot be read now.
+        VersionError: it is of another schema version.
     """
     value = read_json(folder.status)
     return Status() if value is None else Status.from_json(value, folder.status)
@@ -145,9 +152,9 @@ def record_failure(folder: RunFolder, error: RunError) -> None:
 
     Raises:
         StorageError: the folder takes no write.
-        DamagedError: its status is damaged.
+        DamagedError, VersionError: its status is damaged, or of another version.
     """
-    lock = try_lock(folder.lock)
+    lock = try_lock(folder.lock, PATIENCE_S)
     if lock is None:
         return
     try:
@@ -241,17 +248,18 @@ class SweepRecord:
         """The record read from `path`.
 
         Raises:
-            DamagedError: it is of another version, lacks or mistakes a field, or is another sweep's: files are named
-                after what it says.
+            VersionError: it is of another schema version.
+            DamagedError: it lacks or mistakes a field, or is another sweep's: files are named after what it says.
         """
         content, hint = dict(value), _sweep_hint(path)
-        _check_version(content.pop("schema_version", None), path)
+        shape.check_version(content, path, hint)
         shape.check(content, _SWEEP, path, hint)
         if (content["experiment"], content["variant"]) != (path.parent.name, path.stem):
             told = f"{content['experiment']!r} ({content['variant']!r})"
             raise DamagedError(f"{path} is damaged: it is the record of {told}", hint)
         try:
             jobs, needed = (_jobs(content.pop(name, []), name, path) for name in ("jobs", "needed"))
+            _check_order((*jobs, *needed), path)
             return cls(**content, jobs=jobs, needed=needed)
         except TypeError as problem:  # a field nobody knows
             raise DamagedError(f"{path} is damaged: {problem}", hint) from problem
@@ -286,6 +294,17 @@ def _job(value: Any, where: str, path: Path) -> JobRecord:
     return JobRecord(**{**value, "requires": tuple(requires)})
 
 
+def _check_order(jobs: Sequence[JobRecord], path: Path) -> None:
+    requires = {job.id: job.requires for job in jobs if job.requires}
+    try:
+        graphlib.TopologicalSorter(requires).prepare()
+    except graphlib.CycleError as problem:
+        circle = ", ".join(problem.args[1])
+        raise DamagedError(
+            f"{path} is damaged: runs need each other in a circle: {circle}", _sweep_hint(path)
+        ) from None
+
+
 def _sweep_hint(path: Path) -> str:
     return (
         f"move it away; the `rrmctl run {path.parent.name} ...` that made it makes it again, and trains nothing twice"
@@ -296,7 +315,7 @@ def read_sweeps(layout: Layout, experiment: str | None = None) -> list[SweepReco
     """All variants of an experiment, or of all experiments, sorted by experiment and variant.
 
     Raises:
-        DamagedError: a record is damaged.
+        UserError: a record is damaged, cannot be read now, or is of another schema version.
     """
     sweeps, damage = readable_sweeps(layout, experiment)
     if damage:
@@ -304,14 +323,19 @@ def read_sweeps(layout: Layout, experiment: str | None = None) -> list[SweepReco
     return sweeps
 
 
-def readable_sweeps(layout: Layout, experiment: str | None = None) -> tuple[list[SweepRecord], list[DamagedError]]:
-    """Like `read_sweeps`, for those who can go on without a damaged record: what could be read, and what is damaged."""
+def readable_sweeps(layout: Layout, experiment: str | None = None) -> tuple[list[SweepRecord], list[UserError]]:
+    """Like `read_sweeps`, for those who can go on without a damaged record: what could be read, and what could not.
+
+    Raises:
+        VersionError: a record is of another schema version; so is what belongs to it, then.
+    """
     experiments = layout.experiments() if experiment is None else [experiment]
-    sweeps, damage = [], []
+    sweeps: list[SweepRecord] = []
+    damage: list[UserError] = []
     for path in (file for name in experiments for file in layout.sweep_files(name)):
         try:
-            sweep = _read_sweep(path)
-        except DamagedError as error:
+            sweep = read_sweep(path)
+        except (DamagedError, StorageError) as error:
             damage.append(error)
             continue
         if sweep is not None:  # not removed since the folder was listed
@@ -319,7 +343,12 @@ def readable_sweeps(layout: Layout, experiment: str | None = None) -> tuple[list
     return sweeps, damage
 
 
-def _read_sweep(path: Path) -> SweepRecord | None:
+def read_sweep(path: Path) -> SweepRecord | None:
+    """The record in this file; None where there is none.
+
+    Raises:
+        UserError: it is damaged, cannot be read now, or is of another schema version.
+    """
     try:
         value = read_json(path)
     except DamagedError as error:
@@ -332,21 +361,13 @@ def record_sweep(layout: Layout, asked: SweepRecord) -> SweepRecord:
 
     Raises:
         StorageError: the results folder takes no write.
-        DamagedError: the record that is there is damaged.
+        DamagedError, VersionError: the record that is there is damaged, or of another version.
     """
     path = layout.sweep(asked.experiment, asked.variant)
     with locked(layout.sweep_lock(asked.experiment)):
         remove_leftovers(path.parent)
-        known = _read_sweep(path)
+        known = read_sweep(path)
         union = (known or asked).union(asked)
         if union != known:
             write_json(path, union.to_json())
     return union
-
-
-def _check_version(version: object, path: Path) -> None:
-    if version != SCHEMA_VERSION:
-        raise DamagedError(
-            f"{path} is of schema version {version}, this program reads version {SCHEMA_VERSION}",
-            "use the rrmctl that wrote it, or another --results folder",
-        )

@@ -6,8 +6,9 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from rrmctl.store.atomic import DamagedError
+from rrmctl.store.atomic import DamagedError, VersionError
 from rrmctl.store.layout import RUN_ID
+from rrmctl.store.schema import SCHEMA_VERSION
 
 #: Kinds of values. By exact type: JSON's true is no number.
 Kind = tuple[type, ...]
@@ -42,6 +43,22 @@ def check(value: Mapping[str, Any], kinds: Mapping[str, Kind], path: Path, hint:
         if type(value[name]) not in kind:
             wanted = " or ".join(_WORDS[each] for each in kind if not (each is int and float in kind))
             raise DamagedError(f"{path} is damaged: {where}{name} is {value[name]!r:.80}, not {wanted}", hint)
+
+
+def check_version(content: dict[str, Any], path: Path, hint: str) -> None:
+    """Take the schema version out of what was read from `path`, and refuse another than this program's.
+
+    Raises:
+        VersionError: it is another one.
+        DamagedError: there is none.
+    """
+    check(content, {"schema_version": WHOLE}, path, hint)
+    version = content.pop("schema_version")
+    if version != SCHEMA_VERSION:
+        raise VersionError(
+            f"{path} is of schema version {version}, this program reads {SCHEMA_VERSION}",
+            "nothing was touched; use the rrmctl that wrote it, or another --results folder",
+        )
 
 
 def check_run_id(value: str, path: Path, hint: str, where: str) -> None:

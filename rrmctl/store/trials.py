@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 from rrmctl.errors import UserError
 from rrmctl.store import shape
-from rrmctl.store.atomic import DamagedError, locked, read_json, write_json
+from rrmctl.store.atomic import DamagedError, locked, read_json, remove_leftovers, write_json
 from rrmctl.store.layout import Layout
 from rrmctl.store.schema import SCHEMA_VERSION
 
@@ -43,14 +43,14 @@ class Trial:
         return {"schema_version": SCHEMA_VERSION, **asdict(self), "pairs": pairs}
 
 
-_TRIAL = {**dict.fromkeys(("group", "looks", "schema_version"), shape.WHOLE), "pairs": shape.LIST}
+_TRIAL = {**dict.fromkeys(("group", "looks"), shape.WHOLE), "pairs": shape.LIST}
 
 
 def read_trial(layout: Layout, experiment: str, variant: str) -> Trial | None:
     """The test of this variant; None where none was begun.
 
     Raises:
-        DamagedError: its file is damaged.
+        UserError: its file is damaged, cannot be read now, or is of another schema version.
     """
     path = layout.trial(experiment, variant)
     content = read_json(path)
@@ -66,6 +66,7 @@ def begin_trial(layout: Layout, experiment: str, variant: str, trial: Trial) -> 
     """
     path = layout.trial(experiment, variant)
     with locked(layout.sweep_lock(experiment)):
+        remove_leftovers(path.parent)
         known = read_trial(layout, experiment, variant)
         if known is None:
             write_json(path, trial.to_json())
@@ -85,6 +86,7 @@ def _rules(trial: Trial) -> str:
 
 def _from_json(content: dict[str, Any], path: Path) -> Trial:
     hint = "move it away to begin another test, whose error rate then no longer counts the looks of this one"
+    shape.check_version(content, path, hint)
     shape.check(content, _TRIAL, path, hint)
     try:
         pairs = tuple(Pairing(**pair) for pair in content["pairs"])

@@ -153,6 +153,22 @@ def test_a_marker_that_was_changed_is_damaged(tmp_path, entry):
     assert found == [{"step": 10}]
 
 
+def test_what_a_process_left_that_died_while_it_wrote_goes(tmp_path):
+    """Temporary files, and states without marker: one that was never written, or one that is set aside."""
+    checkpoints = Checkpoints(tmp_path)
+    for step in (10, 20):
+        checkpoints.save(step, {"step": step})
+    (tmp_path / ".state-000000000030.safetensors.1.tmp").write_bytes(b"half")
+    (tmp_path / "state-000000000030.safetensors").write_bytes(encode({}))
+    (tmp_path / "state-000000000020.json").write_bytes(b"{")
+    (tmp_path / "transitions.bin").touch()
+    for _ in range(2):
+        assert checkpoints.load(lambda _: None) == 10
+    left = {"damaged-state-000000000020.json", "transitions.bin"}
+    left |= {f"state-000000000010.{suffix}" for suffix in ("json", "safetensors")}
+    assert {path.name for path in tmp_path.iterdir()} == left
+
+
 @given(st.lists(st.binary(max_size=20), max_size=6), st.binary(max_size=9), st.data())
 def test_a_log_restores_any_committed_prefix(tmp_path_factory, chunks, torn, data):
     """Bytes behind the committed length, from a process that died, are ignored and overwritten."""

@@ -1,11 +1,12 @@
 """Atomic writes."""
 
+import os
 import subprocess
 import sys
 
 import pytest
 
-from rrm.files import write_atomically
+from rrm.files import make_folder, write_atomically
 
 
 def test_a_file_is_replaced_as_a_whole(tmp_path):
@@ -37,3 +38,30 @@ def test_a_missing_folder_is_an_error(tmp_path):
     """The folder is the caller's to make."""
     with pytest.raises(FileNotFoundError):
         write_atomically(tmp_path / "none" / "a", b"")
+
+
+def test_a_temporary_file_is_nobody_elses(tmp_path):
+    """Processes in two containers can have one number: what the other is writing stays as it is."""
+    theirs = tmp_path / f".a.{os.getpid()}.tmp"
+    theirs.write_bytes(b"half")
+    write_atomically(tmp_path / "a", b"ours")
+    assert theirs.read_bytes() == b"half"
+    assert (tmp_path / "a").read_bytes() == b"ours"
+
+
+def test_every_new_folder_is_flushed_into_the_one_above(tmp_path, monkeypatch):
+    """From the top; what is there already is not touched, and a file in the way is an error."""
+    synced = []
+    monkeypatch.setattr("rrm.files.sync_folder", lambda folder: synced.append((folder, sorted(folder.iterdir()))))
+    folder = tmp_path / "results" / "runs" / "r"
+    for _ in range(2):
+        make_folder(folder)
+    assert synced == [
+        (above, [above / name])
+        for above, name in zip(
+            (tmp_path, tmp_path / "results", tmp_path / "results" / "runs"), ("results", "runs", "r"), strict=True
+        )
+    ]
+    (tmp_path / "file").touch()
+    with pytest.raises(FileExistsError):
+        make_folder(tmp_path / "file" / "r")

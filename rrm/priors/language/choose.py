@@ -16,7 +16,7 @@ import numpy as np
 
 from rrm.envs.tasks import Task
 from rrm.errors import ConfigError, PriorError, RrmError
-from rrm.files import write_atomically
+from rrm.files import make_folder, write_atomically
 from rrm.priors.language import check_reads
 from rrm.priors.language.child import try_out
 from rrm.priors.language.record import SUFFIX, Candidate, Record, freeze, sha256
@@ -61,7 +61,7 @@ def add(task: Task, paths: Sequence[Path], origin: Origin, folder: Path) -> tupl
     )  # fmt: skip
     content = freeze(record, codes[kept])
     admit(content, str(target))
-    folder.mkdir(parents=True, exist_ok=True)
+    make_folder(folder)
     write_atomically(target, content)
     return target, record
 

@@ -163,8 +163,28 @@ def test_a_missing_or_foreign_prior_is_refused(tiny, prior, results, tmp_path):
     with pytest.raises(MissingResultError, match="holds no imitation prior"):
         ImitationPrior(oracle, task("toy-car"))
     path.unlink()
-    with pytest.raises(MissingResultError, match="cannot be read"):
+    with pytest.raises(MissingResultError, match=f"is missing: .* remove {path.parent} and run the experiment again"):
         Trainer(config, results)
+
+
+@pytest.mark.parametrize("kind", ["expert", "demonstrations", "prior"])
+def test_a_changed_bit_in_what_an_earlier_run_left_is_refused(
+    tiny, imitating, prior, results, recorder, tmp_path, kind
+):
+    """Before anything is made of it; the message names the file and says how to make it again."""
+    demos = results["demos"]
+    run, config, name = {
+        "expert": (demos.expert.identity, demos, "model.safetensors"),
+        "demonstrations": (demos.identity, imitating(), "demos.safetensors"),
+        "prior": (prior.identity, tiny(prior="imitation", prior_run=prior.identity), "model.safetensors"),
+    }[kind]
+    path = results[run] / name
+    data = bytearray(path.read_bytes())
+    data[-30] ^= 1  # a last bit of some number
+    path.write_bytes(data)
+    told = f"{path}.*does not match its checksum.*: bring it back, or remove {path.parent} and run .* --retry-failed"
+    with pytest.raises(MissingResultError, match=told):
+        perform(config, tmp_path, recorder(), results)
 
 
 def test_demonstrations_are_of_the_expert(results, recorder, tmp_path):
@@ -204,7 +224,7 @@ def test_demonstrations_without_their_expert(results, recorder, tmp_path):
     """What is missing is named."""
     config = results["demos"]
     shutil.rmtree(results[config.expert.identity])
-    with pytest.raises(MissingResultError, match="the expert's networks, cannot be read"):
+    with pytest.raises(MissingResultError, match="the expert's networks, is missing"):
         collect(config, tmp_path, recorder(), results)
 
 

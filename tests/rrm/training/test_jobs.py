@@ -156,6 +156,7 @@ def test_a_finished_run_keeps_its_networks_only(tiny, recorder, tmp_path):
     [
         ("critic", r"critic is not finite in [\d,]+ of [\d,]+ numbers \(at step 200; the last good .* of step 100\)"),
         ("reward", r"step 250: the reward is nan; .* \(the last good checkpoint is of step 200\)"),
+        ("last", r"critic is not finite in [\d,]+ of [\d,]+ numbers \(at step 300; the last good .* of step 200\)"),
     ],
 )
 def test_numbers_that_are_not_finite_stop_the_run(tiny, recorder, tmp_path, monkeypatch, what, told):
@@ -164,7 +165,7 @@ def test_numbers_that_are_not_finite_stop_the_run(tiny, recorder, tmp_path, monk
 
     def poisoned(trainer):
         advance(trainer)
-        if what == "critic" and trainer.step == 200:
+        if trainer.step == {"critic": 200, "last": 300}.get(what):
             trainer.agent.critic.flat[0] = torch.nan
         elif what == "reward" and trainer.step == 250:
             weights = trainer.weights()["reward"]["weights"]
@@ -174,6 +175,7 @@ def test_numbers_that_are_not_finite_stop_the_run(tiny, recorder, tmp_path, monk
     monkeypatch.setattr(Trainer, "advance", poisoned)
     with pytest.raises(NumericalError, match=told):
         train(config, tmp_path, recorder())
+    assert not (tmp_path / "model.safetensors").exists()
     monkeypatch.undo()
     again = recorder()
     assert train(config, tmp_path, again)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import signal
 import time
 from pathlib import Path
@@ -93,6 +94,27 @@ def test_what_needs_a_failed_run_is_blocked(tmp_path: Path) -> None:
     retried = call("resume", "--retry-failed", "--results", tmp_path)
     assert retried.exit_code == 1
     assert "demos seed 0: started, attempt 2" in retried.stderr
+
+
+@pytest.mark.slow
+def test_an_expert_whose_networks_were_changed_is_made_again(tmp_path: Path) -> None:
+    """What needs it refuses it and says how; that way leads to the end."""
+    expert = ["toy-car", "--experiments", str(EXPERIMENTS), "--profile", "smoke", "--methods", "oracle", "--seeds", "1"]
+    assert call("run", *expert, "--results", tmp_path).exit_code == 0
+    (run,) = (run for run in planned(tmp_path, "toy-car")["run"])
+    model = Layout(tmp_path).run(run).model
+    data = bytearray(model.read_bytes())
+    data[-30] ^= 1
+    model.write_bytes(data)
+    sweep = [*TOY, "--results", str(tmp_path)]
+    result = call("run", *sweep)
+    assert result.exit_code == 1, result.output
+    said = " ".join(result.stderr.split())
+    assert f"{model}, the expert's networks, is damaged (not a saved state: its content does not match" in said
+    assert f"bring it back, or remove {model.parent} and run the experiment again with --retry-failed" in said
+    shutil.rmtree(model.parent)
+    result = call("run", *sweep, "--retry-failed")
+    assert result.exit_code == 0, result.output
 
 
 @pytest.mark.slow

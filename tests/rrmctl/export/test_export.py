@@ -42,7 +42,14 @@ def results(tmp_path):
     root = tmp_path / "results"
     PARTIAL.write(root)
     for run in Layout(root).run_ids():
-        facts = {"started": STARTED, "host": "here", "versions": {"torch": "1"}, "code": "c0de", "resumed": []}
+        facts = {
+            "schema_version": 1,
+            "started": STARTED,
+            "host": "here",
+            "versions": {"torch": "1"},
+            "code": "c0de",
+            "resumed": [],
+        }
         write_json(Layout(root).run(run).provenance, facts)
     return root
 

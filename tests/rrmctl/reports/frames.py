@@ -113,7 +113,7 @@ class Sweep:
             told |= {"id": folder.id, "config_version": self.versions.get(key, 2), "threads": 1}
             told["precision"] = self.precisions.get(key, "float32")
             if self.recorded.get(key, RECORDED):
-                write_json(folder.provenance, {"resumed": [], **self.recorded.get(key, RECORDED)})
+                write_json(folder.provenance, {"schema_version": 1, "resumed": [], **self.recorded.get(key, RECORDED)})
             write_json(folder.config, told | {"evaluation": {"success": "any", "deterministic": True}})
             write_status(folder, Status(state=State(job["state"]), steps=400))
             curve = rows[rows["run"] == job["run"]][[*IDENTITY, *MEASURED]].astype({"queries": int, "labels": int})

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import trim_mean
 
+from rrm.imitation.finetune import GradientLog
 from rrmctl.errors import UserError
 from rrmctl.reports.figures import gradient_norm
 from rrmctl.reports.figures.ablation import ablation
@@ -141,6 +142,25 @@ def test_gradients_are_read_from_the_store(tmp_path):
     path.write_bytes(path.read_bytes()[:100])
     with pytest.raises(DamagedError, match=path.parent.name):
         gradient_norm.draw(section)
+
+
+def test_a_changed_number_among_gradients_is_noticed(tmp_path):
+    """As a run writes them every page has a checksum: no changed bit makes another number."""
+    folder, log = Layout(tmp_path).run("0123456789abcdef"), GradientLog()
+    folder.path.mkdir(parents=True)
+    for step in range(100):
+        log.add(step, "airl", step / 7)
+    log.write(folder.gradients)
+    written, whole = folder.gradients.read_bytes(), load_gradients(tmp_path, [folder.id])
+    assert whole["gradient_norm"].tolist() == [step / 7 for step in range(100)]
+    refused, footer = 0, int.from_bytes(written[-8:-4], "little")
+    for at in range(0, len(written) - 8 - footer, 5):
+        folder.gradients.write_bytes(written[:at] + bytes([written[at] ^ 1]) + written[at + 1 :])
+        try:
+            assert load_gradients(tmp_path, [folder.id]).equals(whole)
+        except DamagedError:
+            refused += 1
+    assert refused
 
 
 def test_human_curves_are_smoothed_and_say_so():

@@ -15,6 +15,7 @@ from rrm.config import RewardConfig
 from rrm.training.config import RunConfig
 from rrmctl.running.runfile import config_content, load_config
 from rrmctl.running.worker import WorkerExit, main
+from rrmctl.store import provenance, shape
 from rrmctl.store.atomic import is_locked, try_lock
 from rrmctl.store.layout import Layout, RunFolder
 from rrmctl.store.reader import read_curve
@@ -146,6 +147,47 @@ def test_a_damaged_file_is_set_aside_and_the_run_goes_on(
         assert (folder.path / aside).read_bytes() == torn
         assert steps(folder) == [10, 20, 30, 40]
         assert read_status(folder).state is State.DONE
+
+
+def test_a_run_of_another_version_is_refused_and_left_as_it_is(
+    folder: RunFolder, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It is whole, and for another program: nothing is set aside or trained again."""
+    work(folder)
+    before = {path.name: path.read_bytes() for path in folder.path.iterdir() if path.is_file()}
+    monkeypatch.setattr(shape, "SCHEMA_VERSION", 2)
+    assert work(folder) is WorkerExit.REFUSED
+    assert {path.name: path.read_bytes() for path in folder.path.iterdir() if path.is_file()} == before
+
+
+@pytest.mark.parametrize("name", ["status.json", "curve.parquet", "provenance.json"])
+def test_a_file_that_cannot_be_read_now_stops_the_sweep(folder: RunFolder, name: str) -> None:
+    """Nothing is set aside: the next attempt goes on with what is there."""
+    work(folder)
+    folder.model.unlink()
+    write_status(folder, dataclasses.replace(read_status(folder), state=State.INTERRUPTED))
+    path, hidden = folder.path / name, folder.path / "hidden"
+    path.rename(hidden)
+    path.mkdir()
+    assert work(folder) is WorkerExit.STORAGE
+    path.rmdir()
+    hidden.rename(path)
+    assert not list(folder.path.glob("*.corrupt-*"))
+    assert work(folder) is WorkerExit.DONE
+    assert steps(folder) == [10, 20, 30, 40]
+
+
+def test_a_run_without_its_history_looks_mixed(folder: RunFolder, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What it ran with before its provenance was damaged is unknown, not the same as now."""
+    work(folder)
+    folder.model.unlink()
+    write_status(folder, dataclasses.replace(read_status(folder), state=State.INTERRUPTED))
+    folder.provenance.write_bytes(folder.provenance.read_bytes()[:-9])
+    monkeypatch.setenv("STANDIN_WORLD", "2")
+    assert work(folder) is WorkerExit.DONE
+    assert provenance.made_with(folder)["fingerprint.toy-car"] == "unknown, then 2"
+    assert work(folder, "--fresh", "2") is WorkerExit.DONE
+    assert provenance.made_with(folder)["fingerprint.toy-car"] == "2"
 
 
 def test_a_configuration_that_was_edited_is_refused(folder: RunFolder) -> None:

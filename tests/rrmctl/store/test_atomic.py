@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import threading
+import time
 from pathlib import Path
 
 import pytest
@@ -51,11 +52,12 @@ def test_a_folder_that_cannot_be_made_is_named(tmp_path: Path) -> None:
 
 
 def test_leftovers_of_writers_that_died_are_removed(tmp_path: Path) -> None:
-    """Only temporary files go."""
-    for name in (".status.json.12.tmp", "status.json", ".lock"):
+    """Only temporary files go, and not those that somebody else may be writing just now."""
+    for name in (".status.json.12.tmp", "status.json", ".lock", ".config.json.12.tmp"):
         (tmp_path / name).touch()
+    os.utime(tmp_path / ".status.json.12.tmp", (time.time() - 3600,) * 2)
     remove_leftovers(tmp_path)
-    assert {".lock", "status.json"} == {path.name for path in tmp_path.iterdir()}
+    assert {".lock", "status.json", ".config.json.12.tmp"} == {path.name for path in tmp_path.iterdir()}
 
 
 @pytest.mark.parametrize("content", ["", "{", "[1]", '{"a": 1', "\x00\x00"])
@@ -65,6 +67,13 @@ def test_json_that_is_not_an_object_is_refused_by_name(tmp_path: Path, content: 
     path.write_text(content)
     with pytest.raises(DamagedError, match=r"status\.json"):
         read_json(path)
+
+
+def test_a_file_that_cannot_be_read_now_is_not_damaged(tmp_path: Path) -> None:
+    """What it holds nobody knows: it is not one to set aside."""
+    (tmp_path / "status.json").mkdir()
+    with pytest.raises(StorageError, match=r"status\.json cannot be read now: Is a directory"):
+        read_json(tmp_path / "status.json")
 
 
 def test_a_file_that_is_not_there_is_none(tmp_path: Path) -> None:

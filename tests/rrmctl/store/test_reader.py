@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import fcntl
 import hashlib
 import json
 import os
@@ -14,8 +15,11 @@ import pytest
 
 from rrmctl.errors import UserError
 from rrmctl.store import load, planned
-from rrmctl.store.atomic import DamagedError, try_lock
+from rrmctl.store.atomic import DamagedError, VersionError, try_lock
+from rrmctl.store.inventory import inventory
 from rrmctl.store.layout import Layout
+from rrmctl.store.provenance import collect, made_with
+from rrmctl.store.provenance import record as record_provenance
 from rrmctl.store.reader import find_run, find_sweeps, log_tail, read_config, run_status
 from rrmctl.store.records import (
     ErrorKind,
@@ -33,6 +37,7 @@ from rrmctl.store.records import (
     write_status,
 )
 from rrmctl.store.schema import LABELS, MEASURED
+from rrmctl.store.trials import Trial, begin_trial, read_trial
 from rrmctl.store.writer import CurveWriter
 from tests.rrmctl.running.standin import prepare, row
 
@@ -70,6 +75,19 @@ def test_a_sweep_asked_for_twice_is_the_union(tmp_path: Path) -> None:
     assert [j.seed for j in union.jobs] == [0, 1, 2]
     assert {s.variant: [j.seed for j in s.jobs] for s in read_sweeps(layout, "e")} == {"smoke": [0, 1, 2], "paper": [7]}
     assert read_sweeps(layout) == read_sweeps(layout, "e")
+
+
+def test_what_writers_of_rules_and_sweeps_left_goes(tmp_path: Path) -> None:
+    """The next writer removes what is too old to be anybody's work."""
+    layout = Layout(tmp_path)
+    left = [layout.trial("e", "smoke").with_name(".smoke.json.1.tmp"), layout.sweep("e", "smoke").with_name(".x.tmp")]
+    for path in left:
+        path.parent.mkdir(parents=True)
+        path.touch()
+        os.utime(path, (0, 0))
+    begin_trial(layout, "e", "smoke", Trial(group=1, looks=1, alpha=0.1, pairs=()))
+    record_sweep(layout, sweep(job(0)))
+    assert not any(path.exists() for path in left)
 
 
 def test_sweeps_asked_for_at_once_lose_no_job(tmp_path: Path) -> None:
@@ -115,7 +133,7 @@ def test_a_status_survives_its_file(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "content", ["{", "[]", "{}", '{"schema_version": 99}', '{"schema_version": 1, "state": "odd"}']
+    "content", ["{", "[]", "{}", '{"schema_version": "1"}', '{"schema_version": 1, "state": "odd"}']
 )
 def test_a_damaged_status_is_told_not_guessed(tmp_path: Path, content: str) -> None:
     """Such a run is unreadable, with the file's name; reading it directly raises."""
@@ -127,6 +145,28 @@ def test_a_damaged_status_is_told_not_guessed(tmp_path: Path, content: str) -> N
     assert "status.json" in str(status.error)
     with pytest.raises(DamagedError):
         read_status(folder)
+
+
+def test_another_version_is_not_damage(tmp_path: Path) -> None:
+    """It is said with both numbers, by every record, and nobody goes on as if there were none."""
+    layout, jobs = prepare(tmp_path, range(1))
+    folder = layout.run(jobs[0].id)
+    write_status(folder, Status())
+    begin_trial(layout, "stand-in", "smoke", Trial(group=1, looks=1, alpha=0.1, pairs=()))
+    record_provenance(folder, collect(read_config(folder), {}, [], 1))
+    looks = {
+        folder.status: [lambda: read_status(folder), lambda: run_status(folder), lambda: load(tmp_path)],
+        folder.provenance: [lambda: made_with(folder), lambda: inventory(tmp_path)],
+        layout.sweep("stand-in", "smoke"): [lambda: readable_sweeps(layout), lambda: load(tmp_path)],
+        layout.trial("stand-in", "smoke"): [lambda: read_trial(layout, "stand-in", "smoke")],
+    }
+    for path, each in looks.items():
+        whole = path.read_bytes()
+        path.write_text(json.dumps(json.loads(whole) | {"schema_version": 99}))
+        for look in each:
+            with pytest.raises(VersionError, match=rf"{path} is of schema version 99, this program reads 1"):
+                look()
+        path.write_bytes(whole)
 
 
 STATUS = Status(state=State.DONE, step=5, wall_s=1.0, error=RunError(kind=ErrorKind.KILLED, type="K", message="k"))
@@ -163,6 +203,11 @@ def test_a_status_with_a_field_of_another_kind_is_damaged(tmp_path: Path, change
         ({"jobs": [dataclasses.asdict(job(0)) | {"id": "../x"}]}, r"jobs\[0\].id is '../x', not 16 hexadecimal digits"),
         ({"experiment": "../../x"}, r"it is the record of '../../x' \('smoke'\)"),
         ({"variant": "../x"}, r"it is the record of 'e' \('../x'\)"),
+        ({"jobs": [dataclasses.asdict(job(0)) | {"requires": [job(0).id]}]}, "runs need each other in a circle"),
+        (
+            {"jobs": [dataclasses.asdict(job(n)) | {"requires": [job(1 - n).id]} for n in (0, 1)]},
+            "runs need each other",
+        ),
     ],
 )
 def test_a_sweep_with_a_field_of_another_kind_is_damaged(tmp_path: Path, change: object, told: str) -> None:
@@ -232,6 +277,20 @@ def test_a_failure_is_recorded_unless_somebody_else_has_the_run(tmp_path: Path) 
     assert read_status(folder).state is State.DONE
 
 
+def test_a_failure_is_recorded_while_somebody_looks(tmp_path: Path) -> None:
+    """A reader holds the lock for an instant: that makes nobody the owner of the run."""
+    folder = Layout(tmp_path).run("r")
+    write_status(folder, Status(state=State.RUNNING))
+    folder.lock.touch()
+    reader = os.open(folder.lock, os.O_RDONLY)
+    fcntl.flock(reader, fcntl.LOCK_SH)
+    leaves = threading.Timer(0.1, os.close, [reader])
+    leaves.start()
+    record_failure(folder, RunError(kind=ErrorKind.KILLED, type="SIGKILL", message="killed"))
+    leaves.join()
+    assert read_status(folder).state is State.FAILED
+
+
 def test_load_is_one_row_per_label_and_evaluation(tmp_path: Path) -> None:
     """Labels come from the sweep, measurements from the curve; a run that two experiments share appears in both."""
     layout, jobs = prepare(tmp_path, range(3))
@@ -261,6 +320,14 @@ def test_runs_that_no_sweep_names_appear_without_experiment(tmp_path: Path) -> N
     assert list(frame[["experiment", "method", "seed", "step"]].itertuples(index=False, name=None)) == [
         ("", "oracle", 0, 10)
     ]
+
+
+def test_a_run_that_is_just_being_recorded_stops_no_reader(tmp_path: Path) -> None:
+    """Its folder is there before its configuration; who dies in between leaves it so."""
+    layout, jobs = prepare(tmp_path, range(1))
+    with_rows(layout, jobs[0].id, 10)
+    layout.run("feedfacefeedface").path.mkdir()
+    assert load(tmp_path)["run"].tolist() == [jobs[0].id]
 
 
 def test_planned_tells_what_is_missing(tmp_path: Path) -> None:

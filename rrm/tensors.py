@@ -1,0 +1,60 @@
+"""Tensors and what is to be said of them in one safetensors file, with a checksum over both.
+
+What is said is a JSON object, the one entry of the header: safetensors writes several in any order, and what is equal
+should be equal files. Files of earlier versions have no checksum.
+"""
+
+from __future__ import annotations
+
+import json
+import zlib
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import safetensors
+import safetensors.numpy
+
+Arrays = Mapping[str, np.ndarray[Any, Any]]
+
+_CHECKSUM = "$crc32"  #: key of the checksum in the object
+
+
+def encode(arrays: Arrays, entry: str, told: Mapping[str, Any]) -> bytes:
+    """The bytes of the file.
+
+    Args:
+        entry: name of the object in the header.
+        told: the object.
+    """
+    sealed = {**told, _CHECKSUM: _checksum(arrays, told)}
+    return safetensors.numpy.save(dict(arrays), {entry: json.dumps(sealed)})
+
+
+def decode(data: bytes, entry: str) -> tuple[dict[str, np.ndarray[Any, Any]], dict[str, Any]]:
+    """The tensors and the object that `encode` was given.
+
+    Raises:
+        ValueError: the bytes are no such file, or damaged.
+    """
+    try:
+        arrays = safetensors.numpy.load(data)
+        header = int.from_bytes(data[:8], "little")
+        told = json.loads(json.loads(data[8 : 8 + header])["__metadata__"][entry])
+    except (safetensors.SafetensorError, KeyError, TypeError) as error:
+        raise ValueError(str(error)) from error
+    if not isinstance(told, dict):
+        raise ValueError(f"{entry} is no object")
+    checksum = told.pop(_CHECKSUM, None)
+    if checksum is not None and checksum != _checksum(arrays, told):
+        raise ValueError("its content does not match its checksum")
+    return arrays, told
+
+
+def _checksum(arrays: Arrays, told: Mapping[str, Any]) -> int:
+    """CRC-32 over the object, and over names, types, shapes and values of the tensors."""
+    crc = zlib.crc32(json.dumps(told, sort_keys=True).encode())
+    for name, array in sorted(arrays.items()):
+        crc = zlib.crc32(f"{name} {array.dtype.str} {array.shape}".encode(), crc)
+        crc = zlib.crc32(array.tobytes(), crc)
+    return crc

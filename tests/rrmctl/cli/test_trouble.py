@@ -1,0 +1,73 @@
+"""What commands say of a results folder that is another version's, or full."""
+
+from __future__ import annotations
+
+import json
+import resource
+from pathlib import Path
+
+import pytest
+
+from rrmctl.store import shape
+from rrmctl.store.layout import Layout
+from tests.rrmctl.cli.test_run import PLAN, call
+from tests.rrmctl.running.standin import prepare
+
+ORACLE = (*PLAN, "--methods", "oracle", "--seeds", "1")
+
+
+def held(root: Path) -> dict[str, bytes]:
+    return {str(path.relative_to(root)): path.read_bytes() for path in root.rglob("*") if path.is_file()}
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        ("status",),
+        ("status", "stand-in"),
+        ("resume",),
+        ("run", *ORACLE),
+        ("report", "iqm", "stand-in"),
+        ("report", "html"),
+    ],
+    ids=" ".join,
+)
+def test_a_results_folder_of_another_version(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, command: tuple[str, ...]
+) -> None:
+    """One message with both versions, and nothing is touched."""
+    prepare(tmp_path / "results", range(1))
+    before = held(tmp_path)
+    monkeypatch.setattr(shape, "SCHEMA_VERSION", 2)
+    monkeypatch.chdir(tmp_path)
+    result = call(*command, "--results", tmp_path / "results")
+    assert result.exit_code == 2, result.output
+    assert "smoke.json is of schema version 1, this program reads 2" in result.stderr
+    assert "use the rrmctl that wrote it, or another --results folder" in result.stderr
+    assert held(tmp_path) == before
+
+
+def test_a_sweep_that_cannot_be_added_to_is_refused_before_anything_is_written(tmp_path: Path) -> None:
+    """Neither configurations nor runs are left behind."""
+    path = Layout(tmp_path).sweep("toy-car", "smoke")
+    path.parent.mkdir(parents=True)
+    path.write_text("{")
+    result = call("run", *ORACLE, "--results", tmp_path)
+    assert result.exit_code == 2
+    assert "smoke.json cannot be read" in result.stderr
+    assert not (tmp_path / "runs").exists()
+
+
+def test_no_space_while_a_sweep_is_recorded(tmp_path: Path) -> None:
+    """There is nothing to resume yet: the same command again is what goes on."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (100, hard))
+    try:
+        result = call("run", *ORACLE, "--results", tmp_path)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    assert result.exit_code == 75, result.output
+    assert "config.json: File too large" in result.stderr
+    assert "make space, then run the same command again" in " ".join(result.stderr.split())
+    assert "resume" not in result.output
+    assert json.loads(call("status", "--json", "--results", tmp_path).stdout)["runs"] == 0
