@@ -4,7 +4,8 @@ After every group of n seeds of each method one looks at the comparisons that ar
 statistic of a comparison is the sum over the groups of the difference of the two methods' means. Splitting each group's
 scores anew between the two methods tells how large it would be if they were alike. The boundary at look k is the
 smallest that at most a share a k / K of these sequences of splits crosses at this look or before, in either direction.
-Of m comparisons the first is decided at a = alpha / m, then one at alpha / (m - 1), and so on (Holm's step-down).
+Of m comparisons the first is decided at a = alpha / m, then one at alpha / (m - 1), and so on (Holm's step-down). At a
+level that another left, a comparison may have crossed its boundary at an earlier look; it then decides as it did there.
 
 Groups, statistic, splits and the even spending of the level are those of Mathieu, Della Vecchia, Shilova, Centa de
 Medeiros, Kohler, Maillard and Preux, "AdaStop: adaptive statistical testing for sound comparisons of Deep RL agents",
@@ -77,7 +78,9 @@ class Verdict:
 
     decision: Decision
     looks: int  #: after which it was decided; looks so far where it is open
-    difference: float  #: of the means, ours minus theirs, over the seeds of these looks; NaN before the first
+    #: Of the means, ours minus theirs, over the seeds of these looks; NaN before the first. Its sign may be another than
+    #: the decision's, where that fell at an earlier look with a level that was left later.
+    difference: float
 
     @property
     def separated(self) -> bool:
@@ -105,7 +108,8 @@ def sequential_test(comparisons: Sequence[Comparison], design: Design) -> list[V
         left = [at for at, each in enumerate(tested) if at not in verdicts and each.looks >= looks]
         for _ in comparisons:  # one that is decided leaves the others a larger share of the level
             level = design.alpha / max(1, len(tested) - sum(each.separated for each in verdicts.values()))
-            verdicts |= {at: tested[at].separated(looks) for at in left if 0 < tested[at].crossing(level) <= looks}
+            crossings = {at: tested[at].crossing(level) for at in left}
+            verdicts |= {at: tested[at].separated(by, looks) for at, by in crossings.items() if 0 < by <= looks}
             left = [at for at in left if at not in verdicts]
         ending = [at for at in left if looks == design.looks or 0 < tested[at].giving_up() <= looks]
         verdicts |= {at: tested[at].verdict("equal", looks) for at in ending}
@@ -165,9 +169,9 @@ class _Tested:
         first = boundaries([-each for each in self._statistics], self._design.looks, self._design.accept)[1]
         return int(first[0])
 
-    def separated(self, looks: int) -> Verdict:
-        """The verdict after these looks, in favour of the better one."""
-        return self.verdict("larger" if self._difference(looks) > 0.0 else "smaller", looks)
+    def separated(self, crossing: int, looks: int) -> Verdict:
+        """The verdict after these looks, in favour of the one that was better where its boundary was crossed."""
+        return self.verdict("larger" if self._difference(crossing) > 0.0 else "smaller", looks)
 
     def verdict(self, decision: Decision, looks: int) -> Verdict:
         """The verdict after these looks."""

@@ -90,6 +90,20 @@ def test_the_level_is_shared_and_handed_on():
     assert decisions([almost, alike], looks=1, alpha=0.018) == ["equal", "equal"]
 
 
+def test_a_level_that_is_left_late_decides_as_at_the_look_that_crossed():
+    """Ahead at the first look, behind by the second, when another's level comes free: still decided as at the first."""
+    turning = Comparison(
+        [1.00, 1.01, 1.02, 1.03, 1.04, 0.5, 0.9, 0.7, 0.6, 0.8],
+        [0.90, 0.91, 0.92, 0.93, 0.94, 0.7, 0.8, 0.9, 0.95, 0.75],
+    )
+    late = Comparison([5, 7, 8, 9, 10, 16, 17, 18, 19, 20], [1, 2, 3, 4, 6, 1, 2, 3, 4, 5])
+    (alone,) = sequential_test([turning], Design())
+    beside, other = sequential_test([turning, late], Design())
+    assert (alone.decision, alone.looks, alone.difference) == ("larger", 1, pytest.approx(0.1))
+    assert (other.decision, other.looks) == ("larger", 2)
+    assert (beside.decision, beside.looks, beside.difference) == ("larger", 2, pytest.approx(-0.01))
+
+
 @pytest.mark.parametrize("level", [0.0, 1.0, 5.0])
 def test_saturated_methods_are_never_separated(level):
     """Every seed of both alike, at zero, 100 % or elsewhere: equal after the last look, nothing crashes."""
