@@ -30,8 +30,8 @@ import numpy.typing as npt
 from rrmctl.stats.aggregate import Floats, checked
 from rrmctl.stats.permutations import sequences
 
-#: `larger`, `smaller`: the first method is, as against the second. `equal`: not separated by the last look, or given up
-#: before it. `open`: more seeds decide.
+#: `larger`, `smaller`: the first method is, as against the second. `equal`: not separated by the last look. `open`: more
+#: seeds decide.
 Decision = Literal["larger", "smaller", "equal", "open"]
 
 
@@ -46,17 +46,14 @@ class Design:
     group: int = 5  #: seeds of each method between two looks
     looks: int = 4  #: at most; group * looks seeds are the most that may be run
     alpha: float = 0.05  #: probability of any wrong decision, over all comparisons and looks
-    accept: float = (
-        0.0  #: share of its splits at which a comparison is given up as equal by the last look (early accept)
-    )
     permutations: int = 10_000  #: sequences of splits, about
     seed: int = 0  #: of the splits that are drawn at random
 
     def __post_init__(self) -> None:
         if min(self.group, self.looks, self.permutations) < 1 or self.group > 8:
             raise ValueError(f"a design has groups of 1 to 8 seeds, at least one look and one permutation: {self}")
-        if not 0.0 < self.alpha < 1.0 or not 0.0 <= self.accept < 1.0:
-            raise ValueError(f"shares of errors lie between 0 and 1: {self}")
+        if not 0.0 < self.alpha < 1.0:
+            raise ValueError(f"a share of errors lies between 0 and 1: {self}")
 
     @property
     def seeds(self) -> int:
@@ -111,8 +108,8 @@ def sequential_test(comparisons: Sequence[Comparison], design: Design) -> list[V
             crossings = {at: tested[at].crossing(level) for at in left}
             verdicts |= {at: tested[at].separated(by, looks) for at, by in crossings.items() if 0 < by <= looks}
             left = [at for at in left if at not in verdicts]
-        ending = [at for at in left if looks == design.looks or 0 < tested[at].giving_up() <= looks]
-        verdicts |= {at: tested[at].verdict("equal", looks) for at in ending}
+        if looks == design.looks:
+            verdicts |= {at: tested[at].verdict("equal", looks) for at in left}
     return [verdicts.get(at, each.verdict("open", each.looks)) for at, each in enumerate(tested)]
 
 
@@ -161,13 +158,6 @@ class _Tested:
             first = boundaries(self._statistics, self._design.looks, level)[1]
             self._crossings[level] = int(first[0])
         return self._crossings[level]
-
-    def giving_up(self) -> int:
-        """At which look it is among the smallest, of which a share may be given up; zero for not yet."""
-        if self._design.accept == 0.0:
-            return 0
-        first = boundaries([-each for each in self._statistics], self._design.looks, self._design.accept)[1]
-        return int(first[0])
 
     def separated(self, crossing: int, looks: int) -> Verdict:
         """The verdict after these looks, in favour of the one that was better where its boundary was crossed."""

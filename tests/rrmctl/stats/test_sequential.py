@@ -112,14 +112,6 @@ def test_saturated_methods_are_never_separated(level):
     assert decisions([both], looks=3) == ["open"]
 
 
-def test_saturated_methods_are_given_up_early_where_asked():
-    """With a share for early acceptance, the smallest statistics end before the last look."""
-    near = Comparison(rng(1).normal(size=20), rng(1).normal(size=20) + 0.01)
-    early, late = (sequential_test([near], Design(accept=share))[0] for share in (0.5, 0.0))
-    assert (early.decision, late.decision, late.looks) == ("equal", "equal", 4)
-    assert early.looks < 4
-
-
 def test_no_seed_beyond_a_full_group_is_looked_at():
     """Until a group is full nothing is decided, and a half group changes nothing."""
     ours, theirs = np.arange(10.0) + 20, np.arange(10.0)
@@ -155,11 +147,11 @@ def test_scale_and_order_of_methods_do_not_matter():
     assert one.looks == swapped.looks
 
 
-def errors(shape, *, comparisons, accept, repetitions):
+def errors(shape, *, comparisons, repetitions):
     """How often any of several equal methods is separated from the one all are compared with."""
     source, wrong = rng([7, comparisons]), 0
     for repetition in range(repetitions):
-        design = Design(permutations=1000, accept=accept, seed=repetition)
+        design = Design(permutations=1000, seed=repetition)
         against, *others = (SHAPES[shape](source, design.seeds) for _ in range(comparisons + 1))
         wrong += any(each.separated for each in sequential_test([Comparison(o, against) for o in others], design))
     return wrong / repetitions
@@ -172,16 +164,15 @@ def at_most(level, repetitions):
 
 def test_equal_methods_are_rarely_separated():
     """300 simulated studies of four skewed methods against a fifth: at most 5 % separate any, over all looks."""
-    assert errors("skewed", comparisons=4, accept=0.0, repetitions=300) <= at_most(0.05, 300)
+    assert errors("skewed", comparisons=4, repetitions=300) <= at_most(0.05, 300)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("comparisons", [1, 4])
-@pytest.mark.parametrize("accept", [0.0, 0.2])
 @pytest.mark.parametrize("shape", SHAPES)
-def test_the_error_rate_is_controlled(shape, comparisons, accept):
-    """2000 studies for each shape of scores, one comparison and four, with and without early acceptance."""
-    assert errors(shape, comparisons=comparisons, accept=accept, repetitions=2000) <= at_most(0.05, 2000)
+def test_the_error_rate_is_controlled(shape, comparisons):
+    """2000 studies for each shape of scores, one comparison and four."""
+    assert errors(shape, comparisons=comparisons, repetitions=2000) <= at_most(0.05, 2000)
 
 
 @pytest.mark.slow
@@ -241,7 +232,7 @@ def test_the_outlook_counts_from_the_seeds_there_are():
         (lambda: Design(group=9), "groups of 1 to 8"),
         (lambda: Design(looks=0), "at least one look"),
         (lambda: Design(alpha=0.0), "between 0 and 1"),
-        (lambda: Design(accept=1.0), "between 0 and 1"),
+        (lambda: Design(alpha=1.0), "between 0 and 1"),
         (lambda: sequential_test([Comparison([1.0, float("nan")], [1.0])], Design()), "not finite"),
         (lambda: sequential_test([Comparison(np.ones((5, 2)), [1.0])], Design()), "one score for each seed"),
         (lambda: outlook(Comparison([], []), Verdict("equal", 4, 0.0), Design(), rng=rng()), "open"),
