@@ -24,6 +24,7 @@ from rrmctl.planning.grid import Row
 from rrmctl.planning.manifest import DEFAULT_FEEDBACK, Manifest, nearest
 from rrmctl.planning.methods import TASK, Method
 from rrmctl.planning.profiles import PAPER, Kind, Layer, profiles
+from rrmctl.planning.schedules import Schedule
 from rrmctl.planning.settings import AMOUNTS, Checked, flatten, resolve
 
 Flat = dict[str, Any]
@@ -79,8 +80,8 @@ def feedback_label(manifest: Manifest, row: Row, config: RunConfig) -> str:
     """`50@5000/5000`: queries of a session, steps between sessions, queries in all; "-" where nothing is asked."""
     if config.feedback is None:
         return "-"
-    label = f"{config.feedback.batch}@{config.feedback.every}/{config.feedback.budget}"
-    return f"{label} {row.feedback}" if set(manifest.feedback.get(row.feedback, {})) - _SPELLED else label
+    name = row.feedback if set(manifest.feedback.get(row.feedback, {})) - _SPELLED else ""
+    return str(Schedule(config.feedback.batch, config.feedback.every, config.feedback.budget, name))
 
 
 def check_sections(manifest: Manifest) -> None:

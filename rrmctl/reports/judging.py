@@ -18,6 +18,7 @@ import numpy as np
 from rrm.envs.tasks import Score as Unit
 from rrmctl.errors import UserError
 from rrmctl.planning.profiles import PAPER
+from rrmctl.planning.schedules import Schedule
 from rrmctl.reports.claims import Arm, Budget, Claim, Reading, Test
 from rrmctl.reports.scores import Score, score
 from rrmctl.reports.series import NOTHING_ASKED, Floats, Section, Series, Steps
@@ -124,7 +125,11 @@ def _measured(test: Test, tasks: Sequence[str], section: Section, settings: Sett
         for values, each in zip(read, _values(section, series, test.reading), strict=True):
             values.append(each)
     statistic = _deviation if test.reading.spread else None
-    scores = [score(each, settings, stream=stream, statistic=statistic) for stream, each in enumerate(read, start=1)]
+    pooled = test.reading.steps != "all"
+    scores = [
+        score(each, settings, pooled=pooled, stream=stream, statistic=statistic)
+        for stream, each in enumerate(read, start=1)
+    ]
     found = scores[0] - scores[1] if len(scores) > 1 else scores[0]
     return found, test.reading.unit or series[0].score
 
@@ -156,20 +161,14 @@ def _series(section: Section, task: str, arm: Arm) -> Series:
 def _fullest(section: Section, task: str) -> tuple[int, int]:
     """Questions of the largest session and steps of the shortest interval among a task's schedules."""
     labels = [each.label for each in section.series if each.label.task == task]
-    known = [_schedule(label.feedback) for label in labels if label.feedback != NOTHING_ASKED]
-    return max(batch for batch, _ in known), min(every for _, every in known)
-
-
-def _schedule(label: str) -> tuple[int, int]:
-    """`50@5000/2500` -> (50, 5000)."""
-    batch, _, rest = label.partition("@")
-    return int(batch), int(rest.partition("/")[0])
+    known = [Schedule.of(label.feedback) for label in labels if label.feedback != NOTHING_ASKED]
+    return max(each.batch for each in known), min(each.every for each in known)
 
 
 def _is(budget: Budget, label: str, full: tuple[int, int]) -> bool:
-    batch, every = _schedule(label)
-    return math.isclose(batch / full[0], budget.batch, rel_tol=0.1) and math.isclose(
-        every / full[1], budget.every, rel_tol=0.1
+    asked = Schedule.of(label)
+    return math.isclose(asked.batch / full[0], budget.batch, rel_tol=0.1) and math.isclose(
+        asked.every / full[1], budget.every, rel_tol=0.1
     )
 
 

@@ -1,17 +1,19 @@
 """Numbers read off curves, with the resampled data sets behind their intervals.
 
 What is read of a series is a matrix [S, T]: for each seed its values at some steps, one step included. The number is
-the mean over these steps of the interquartile mean over seeds. Several tasks that are read at one step each are pooled,
-as rliable does; of several that are read at more, the mean is taken.
+the mean over these steps of the interquartile mean over seeds. Of several tasks it is the mean of theirs; tasks that
+are read at one step each may be pooled instead, as rliable does: one interquartile mean of all their seeds.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import reduce
 
 import numpy as np
 
+from rrmctl.errors import UserError
 from rrmctl.reports.series import Floats, Series, Steps, at_steps
 from rrmctl.reports.settings import BOOTSTRAP_SEED, LEVEL, Settings
 from rrmctl.stats import Estimate, Iqm, estimate, interval_possible, resample
@@ -40,21 +42,29 @@ class Score:
         return estimate(self.point, self.draws, n=self.n, level=level)
 
 
-def score(tasks: Sequence[Floats], settings: Settings, *, stream: int = 0, statistic: Statistic | None = None) -> Score:
+def score(
+    tasks: Sequence[Floats],
+    settings: Settings,
+    *,
+    pooled: bool = False,
+    stream: int = 0,
+    statistic: Statistic | None = None,
+) -> Score:
     """The number behind what was read of one method on each task.
 
     Args:
         tasks: for each task [S, T]; none is empty.
+        pooled: all seeds are of one number, rather than those of each task; T is the same for all tasks.
         stream: of random numbers; two methods to be compared are resampled from two.
         statistic: of the seeds, in place of the interquartile mean.
     """
-    reduce = statistic or Iqm(settings.kind)
+    middle = statistic or Iqm(settings.kind)
     rng, sizes = np.random.default_rng([BOOTSTRAP_SEED, stream] if stream else BOOTSTRAP_SEED), list(map(len, tasks))
-    groups = [tasks] if all(each.shape[1] == 1 for each in tasks) else [[each] for each in tasks]
-    points = [reduce(np.concatenate(group).T).mean() for group in groups]
+    groups = [tasks] if pooled else [[each] for each in tasks]
+    points = [middle(np.concatenate(group).T).mean() for group in groups]
     draws = None
     if interval_possible(sizes):
-        drawn = [resample(group, reduce, rng=rng, replicates=settings.replicates) for group in groups]
+        drawn = [resample(group, middle, rng=rng, replicates=settings.replicates) for group in groups]
         draws = np.mean([each.mean(axis=-1) for each in drawn], axis=0)
     return Score(float(np.mean(points)), draws, min(sizes))
 
@@ -64,9 +74,14 @@ def at(series: Series, step: int) -> Floats:
     return at_steps(series, np.array([step]))
 
 
-def common_steps(series: Sequence[Series]) -> Steps:
-    """The steps that all of these series have, which may be none."""
-    steps = series[0].steps
-    for each in series[1:]:
-        steps = np.intersect1d(steps, each.steps)
-    return steps
+def read_together(series: Sequence[Series]) -> tuple[Steps, dict[Series, Floats]]:
+    """The steps that all of these series of one task have, and the score of each there, [S, T].
+
+    Raises:
+        UserError: there is no such step.
+    """
+    steps = reduce(np.intersect1d, (each.steps for each in series))
+    if not steps.size:
+        task = series[0].label.task
+        raise UserError(f"{task}: no evaluation step is common to all schedules and methods", "let the runs go on")
+    return steps, {each: at_steps(each, steps) for each in series}

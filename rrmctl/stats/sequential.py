@@ -30,8 +30,8 @@ import numpy.typing as npt
 from rrmctl.stats.aggregate import Floats, checked
 from rrmctl.stats.permutations import sequences
 
-#: `larger`, `smaller`: the first method is, as against the second. `equal`: not separated by the last look. `open`: more
-#: seeds decide.
+#: `larger`, `smaller`: the first method is, as against the second. `equal`: not separated by the last look. `open`:
+#: more seeds decide.
 Decision = Literal["larger", "smaller", "equal", "open"]
 
 
@@ -75,8 +75,8 @@ class Verdict:
 
     decision: Decision
     looks: int  #: after which it was decided; looks so far where it is open
-    #: Of the means, ours minus theirs, over the seeds of these looks; NaN before the first. Its sign may be another than
-    #: the decision's, where that fell at an earlier look with a level that was left later.
+    #: Of the means, ours minus theirs, over the seeds of these looks; NaN before the first. Its sign may be another
+    #: than the decision's, where that is of an earlier look and the level for it was left later.
     difference: float
 
     @property

@@ -1,42 +1,33 @@
 """Less feedback: success against the size of a session, and against the steps between two, a point for each budget.
 
 A point is the mean over the evaluation steps of the interquartile mean over seeds, with its bootstrap interval; the
-small hollow one above or below it is the interquartile mean at the last step.
+small hollow one above or below it is the interquartile mean at the last step. Of several tasks it is their mean.
 """
 
 from __future__ import annotations
 
-import re
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import reduce
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from rrmctl.errors import UserError
+from rrmctl.planning.schedules import Schedule
 from rrmctl.reports.marks import UNITS, contents, methods, score_axis, told
 from rrmctl.reports.notebook import from_frames, nothing
-from rrmctl.reports.series import NOTHING_ASKED, Floats, Section, Series, at_steps
-from rrmctl.reports.settings import BOOTSTRAP_SEED, DEFAULTS, LEVEL, Settings
+from rrmctl.reports.scores import read_together, score
+from rrmctl.reports.series import NOTHING_ASKED, Floats, Section, Series
+from rrmctl.reports.settings import DEFAULTS, LEVEL, Settings
 from rrmctl.reports.sheet import Cell, cells_sheet
 from rrmctl.reports.styles import Style, style
 from rrmctl.reports.tables import ALL_TASKS
 from rrmctl.reports.words import title
-from rrmctl.stats import Estimate, Iqm, estimate, interval_possible, iqm, resample
+from rrmctl.stats import Estimate, iqm
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-
-_LABEL = re.compile(r"(\d+)@(\d+)/(\d+)")
-
-
-class Schedule(NamedTuple):
-    """Of feedback, as its label says."""
-
-    batch: int  #: queries of a session
-    every: int  #: steps between sessions
-    budget: int  #: queries in all
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,37 +47,52 @@ def suits(section: Section) -> bool:
 
 
 def draw(section: Section, settings: Settings = DEFAULTS) -> Figure:
-    """For each task, and for all success tasks together, a panel for each respect in which schedules differ.
+    """For each task, and for the mean of the success tasks, a panel for each respect in which schedules differ.
 
     Raises:
         UserError: no task has schedules to compare.
     """
+    values, apart = _read(section)
     found = sweeps(section)
     if not found:
         raise nothing(section, "no schedules of feedback that could be compared")
-    groups = [[each] for each in found] + _pools(found)
+    means = _means(found)
     return cells_sheet(
         title(section),
-        [_cell(group, found, settings) for group in groups],
+        [_cell(group, found, values, settings) for group in ([[each] for each in found] + means)],
         size=settings.width,
         handles=methods(series for each in found for series in each.series.values()),
         notes=[
             f"Points: mean over the evaluation steps of the interquartile mean over seeds ({settings.kind}), with its "
             f"{100 * LEVEL:g} % bootstrap interval. Small and hollow: the interquartile mean at the last step.",
+            *([f"{ALL_TASKS}: mean over the tasks, each resampled on its own."] if means else []),
+            *(f"Not drawn: {why}." for why in apart),
             *contents(section),
         ],
         most=4,
     )
 
 
+def _read(section: Section) -> tuple[dict[Series, Floats], list[str]]:
+    """What is read of each series that asks, at the steps that all such of its task have; and why some are not."""
+    values: dict[Series, Floats] = {}
+    apart = []
+    asking = [each for each in section.series if each.n and each.label.feedback != NOTHING_ASKED]
+    for task in dict.fromkeys(each.label.task for each in asking):
+        try:
+            values |= read_together([each for each in asking if each.label.task == task])[1]
+        except UserError as error:
+            apart.append(str(error))
+    return values, apart
+
+
 def sweeps(section: Section) -> list[Sweep]:
     """The comparisons of schedules that the section holds, task by task."""
     asked: dict[tuple[str, str], dict[tuple[str, Schedule], Series]] = {}
-    for series in section.series:
-        match = _LABEL.fullmatch(series.label.feedback)
-        if match and series.n and series.label.teacher != NOTHING_ASKED:
-            schedule = Schedule(*(int(group) for group in match.groups()))
-            asked.setdefault(series.label[:1] + series.label[2:3], {})[series.label.method, schedule] = series
+    for series in _read(section)[0]:
+        schedule = Schedule.of(series.label.feedback)
+        if not schedule.name:
+            asked.setdefault((series.label.task, series.label.teacher), {})[series.label.method, schedule] = series
     return [sweep for (task, teacher), series in asked.items() for sweep in _of_task(task, teacher, series)]
 
 
@@ -103,7 +109,7 @@ def _of_task(task: str, teacher: str, series: dict[tuple[str, Schedule], Series]
             yield Sweep(task, teacher, field, tuple(chosen), own)
 
 
-def _pools(found: Sequence[Sweep]) -> list[list[Sweep]]:
+def _means(found: Sequence[Sweep]) -> list[list[Sweep]]:
     """Sweeps of several success tasks over the same schedules under the same teacher."""
     groups: dict[Any, list[Sweep]] = {}
     for each in found:
@@ -112,36 +118,45 @@ def _pools(found: Sequence[Sweep]) -> list[list[Sweep]]:
     return [group for group in groups.values() if len(group) > 1]
 
 
-def _cell(group: Sequence[Sweep], found: Sequence[Sweep], settings: Settings) -> Cell:
-    """A panel: one task, or several pooled."""
+def _cell(group: Sequence[Sweep], found: Sequence[Sweep], values: Mapping[Series, Floats], settings: Settings) -> Cell:
+    """A panel: one task, or the mean of several."""
     first = group[0]
     name = first.task if len(group) == 1 else ALL_TASKS
     teachers = {each.teacher for each in found}
     if len(teachers) > 1:
         name += f", teacher {first.teacher}"
-    score = next(iter(first.series.values())).score
+    unit = next(iter(first.series.values())).score
     if first.field == "batch":
         across = f"Queries a session,\nevery {told(first.schedules[0].every)} steps"
     else:
         across = f"Steps between\nsessions of {first.schedules[0].batch}"
-    return Cell(name, UNITS[score], _filler(group, score, settings), across)
+    return Cell(name, UNITS[unit], _filler(group, unit, values, settings), across)
 
 
-def _filler(group: Sequence[Sweep], score: str, settings: Settings) -> Callable[[Axes], None]:
-    first, scale = group[0], 100 if score == "success" else 1
+def _filler(
+    group: Sequence[Sweep], unit: str, values: Mapping[Series, Floats], settings: Settings
+) -> Callable[[Axes], None]:
+    first, scale = group[0], 100 if unit == "success" else 1
     names = list(dict.fromkeys(method for method, _ in first.series))
 
     def fill(axes: Axes) -> None:
         for row, method in enumerate(names):
             shift = 0.12 * (row - (len(names) - 1) / 2)
             have = [at for at, each in enumerate(first.schedules) if all((method, each) in s.series for s in group)]
-            made = [mean_of_iqm([s.series[method, first.schedules[at]] for s in group], settings) for at in have]
+            read = [[values[sweep.series[method, first.schedules[at]]] for sweep in group] for at in have]
+            made = [_point(tasks, settings) for tasks in read]
             _draw_points(axes, np.array(have) + shift, made, scale, style(method))
         axes.set_xticks(range(len(first.schedules)), [told(getattr(each, first.field)) for each in first.schedules])
         axes.set_xlim(-0.4, len(first.schedules) - 0.6)
-        score_axis(axes, score)
+        score_axis(axes, unit)
 
     return fill
+
+
+def _point(tasks: Sequence[Floats], settings: Settings) -> tuple[Estimate, float]:
+    """Of one method under one schedule on each task: the mean over the steps, and the value at the last of them."""
+    last = [iqm(values[:, -1], settings.kind) for values in tasks]
+    return score(tasks, settings).estimate(), float(np.mean(last))
 
 
 def _draw_points(axes: Axes, x: Floats, made: Sequence[tuple[Estimate, float]], scale: float, look: Style) -> None:
@@ -152,18 +167,6 @@ def _draw_points(axes: Axes, x: Floats, made: Sequence[tuple[Estimate, float]], 
     axes.vlines(x, low, high, color=look.color, linewidth=0.9)
     hollow = look._asdict() | {"linestyle": "none", "markerfacecolor": "white"}
     axes.plot(x, last, markersize=3, markeredgewidth=0.6, **hollow)
-
-
-def mean_of_iqm(strata: Sequence[Series], settings: Settings) -> tuple[Estimate, float]:
-    """Mean over the steps that all have of the IQM of their seeds pooled, and the IQM at the last of these steps."""
-    steps = reduce(np.intersect1d, (each.steps for each in strata))
-    values = [at_steps(each, steps) for each in strata]
-    point = iqm(np.concatenate(values), settings.kind, axis=0)
-    draws = None
-    if interval_possible([each.n for each in strata]):
-        rng = np.random.default_rng(BOOTSTRAP_SEED)
-        draws = resample(values, Iqm(settings.kind), rng=rng, replicates=settings.replicates).mean(axis=-1)
-    return estimate(point.mean(), draws, n=sum(each.n for each in strata), level=LEVEL), float(point[-1])
 
 
 less_feedback = from_frames(draw)

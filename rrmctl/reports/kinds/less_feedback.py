@@ -11,17 +11,16 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-from rrmctl.errors import UserError
 from rrmctl.reports.document import NOTHING, Grid, NoDataError, Report, highest, interval, number
-from rrmctl.reports.scores import common_steps, score
-from rrmctl.reports.series import NOTHING_ASKED, Section, Series, at_steps
+from rrmctl.reports.scores import read_together, score
+from rrmctl.reports.series import NOTHING_ASKED, Section, Series
 from rrmctl.reports.settings import DEFAULTS, Settings
 from rrmctl.reports.words import BEST_NOTE, contents_notes, facts, statistics_notes, title
 
 if TYPE_CHECKING:
     import pandas as pd
 
-    from rrmctl.reports.series import Floats
+    from rrmctl.reports.series import Floats, Steps
 
 EXPERIMENT = "less-feedback"
 
@@ -71,27 +70,20 @@ def _schedules(section: Section) -> dict[str, Schedules]:
     return {task: schedules for task, schedules in found.items() if len(schedules) > 1}
 
 
-def _read(schedules: Schedules) -> dict[tuple[str, str, str], Floats]:
-    """The scores of a task at the steps that all its series have, by teacher, feedback and method."""
-    present = {(*key, name): each for key, by in schedules.items() for name, each in by.items() if each.n}
-    steps = common_steps(list(present.values()))
-    if not steps.size:
-        task = next(iter(present.values())).label.task
-        raise UserError(f"{task}: no evaluation step is common to all schedules and methods", "let the runs go on")
-    return {key: at_steps(each, steps) for key, each in present.items()}
+def _read(schedules: Schedules) -> tuple[Steps, dict[Series, Floats]]:
+    """A task's series at the steps that all of them have."""
+    return read_together([each for methods in schedules.values() for each in methods.values() if each.n])
 
 
 def _task_rows(task: str, schedules: Schedules, settings: Settings) -> Iterator[dict[str, Any]]:
-    read = _read(schedules)
-    present = [each for by in schedules.values() for each in by.values() if each.n]
-    steps = common_steps(present)
+    steps, read = _read(schedules)
     for (teacher, feedback), methods in schedules.items():
         for method, series in methods.items():
             yield {
                 "task": task, "teacher": teacher, "feedback": feedback, "method": method, "score": series.score,
                 "first_step": int(steps[0]), "last_step": int(steps[-1]), "evaluations": int(steps.size),
                 "n": series.n, "planned": series.planned,
-                **(_numbers([read[teacher, feedback, method]], settings) if series.n else {}),
+                **(_numbers([read[series]], settings) if series.n else {}),
             }  # fmt: skip
 
 
@@ -100,14 +92,18 @@ def _all_tasks(tasks: Mapping[str, Schedules], settings: Settings) -> Iterator[d
     series = [each for by in tasks.values() for methods in by.values() for each in methods.values()]
     if len(tasks) < 2 or {each.score for each in series} != {"success"}:
         return
-    read = [_read(schedules) for schedules in tasks.values()]
-    for key in (key for key in read[0] if all(key in each for each in read)):
+    read = {each: values for schedules in tasks.values() for each, values in _read(schedules)[1].items()}
+    by_key = [
+        {(*asked, method): each for asked, methods in schedules.items() for method, each in methods.items() if each.n}
+        for schedules in tasks.values()
+    ]
+    for key in (key for key in by_key[0] if all(key in each for each in by_key)):
         teacher, feedback, method = key
-        here = [schedules[teacher, feedback][method] for schedules in tasks.values()]
+        here = [each[key] for each in by_key]
         yield {
             "task": ALL_TASKS, "teacher": teacher, "feedback": feedback, "method": method, "score": "success",
             "n": sum(each.n for each in here), "planned": sum(each.planned for each in here),
-            **_numbers([each[key] for each in read], settings),
+            **_numbers([read[each] for each in here], settings),
         }  # fmt: skip
 
 

@@ -130,6 +130,18 @@ def test_a_budget_is_the_mean_of_the_iqm_over_the_evaluations():
     assert pooled["n"] == 10
 
 
+@pytest.mark.parametrize("steps", [[100], [100, 200]])
+def test_tasks_are_averaged_however_many_evaluations_they_share(steps):
+    """Three tasks at 100 % and one at 0 % are 75 %, also where one evaluation is all that they have."""
+    series = {
+        (task, "pebble", "oracle", feedback): curve(*[float(at < 3)] * len(steps), seeds=10)
+        for at, task in enumerate(("button-press", "door-open", "door-unlock", "window-open"))
+        for feedback in (FULL, "5@5000/500")
+    }
+    table = less_feedback.table(section("less-feedback", series, steps=steps), QUICK)
+    assert table[table["task"] == less_feedback.ALL_TASKS]["mean_iqm"].tolist() == [0.75, 0.75]
+
+
 def test_the_mean_over_tasks_is_surer_than_one_task():
     """Its interval comes from resampling every task on its own, so that independent deviations even out."""
     table = less_feedback.table(little(), Settings(replicates=2000))

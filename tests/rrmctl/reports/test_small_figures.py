@@ -13,13 +13,15 @@ from rrmctl.reports.figures.gradient_norm import gradient_norms
 from rrmctl.reports.figures.human import smoothed_curves
 from rrmctl.reports.figures.less_feedback import less_feedback
 from rrmctl.reports.figures.profile import profile
-from rrmctl.reports.select import read_sections
+from rrmctl.reports.kinds import less_feedback as less_feedback_table
+from rrmctl.reports.select import read_sections, sections
+from rrmctl.reports.settings import Settings
 from rrmctl.reports.smoothing import smooth
 from rrmctl.reports.styles import style
 from rrmctl.store import load_gradients
 from rrmctl.store.atomic import DamagedError
 from rrmctl.store.layout import Layout
-from tests.rrmctl.reports import scenes
+from tests.rrmctl.reports import scenes, stores
 from tests.rrmctl.reports.frames import RISING, Sweep, together
 from tests.rrmctl.reports.pictures import legend, lines, panels, words
 
@@ -63,6 +65,40 @@ def test_less_feedback_is_a_point_a_budget():
     np.testing.assert_allclose(final[0].get_ydata(), 100 * np.array([iqm(RISING["pebble"])[-1]] * 2 + [0.2]))
     (low_end, high_end), *_ = (segment[:, 1] for segment in sizes.collections[0].get_segments())
     assert low_end < usual < high_end
+
+
+def unequal(steps):
+    """One task at 90 % and one that rises to 40 %, each evaluated at its own steps, under two schedules."""
+    levels = {"button-press": (0.9, 0.9), "door-open": (0.0, 0.4)}
+    labels = [(task, "pebble", "oracle", asked) for task in levels for asked in ("50@5000/5000", "5@5000/500")]
+    series = {label: stores.curve(*levels[label[0]], spread=0.1) for label in labels}
+    return stores.frames("less-feedback", series, steps={label: steps[label[0]] for label in labels})
+
+
+@pytest.mark.parametrize("other", [[100, 200], [70, 140]])
+def test_the_figure_shows_the_tables_numbers(other):
+    """The panel of several tasks is the mean over them, as in `report less-feedback`, whatever steps each has."""
+    frames = unequal({"button-press": [100, 200], "door-open": other})
+    table = less_feedback_table.table(*sections(*frames), Settings(replicates=200))
+    figure = less_feedback(*frames, replicates=200)
+    assert titles(figure) == ["button-press", "door-open", "success tasks"]
+    for axes, task in zip(panels(figure), ("button-press", "door-open", less_feedback_table.ALL_TASKS), strict=True):
+        rows = table[table["task"] == task]
+        np.testing.assert_allclose(lines(axes, "pebble")[0].get_ydata(), 100 * rows["mean_iqm"])
+        ends = [segment[:, 1] for segment in axes.collections[0].get_segments()]
+        np.testing.assert_allclose(ends, 100 * rows[["low", "high"]])
+    hollow = next(each for each in panels(figure)[2].get_lines() if each.get_linestyle() == "None")
+    np.testing.assert_allclose(hollow.get_ydata(), [65.0, 65.0])
+    assert "mean over the tasks" in words(figure)
+
+
+def test_a_task_whose_schedules_share_no_step_is_named():
+    """It is left out of the figure, which says so, and keeps no other task from being drawn."""
+    rows, jobs = unequal({"button-press": [100, 200], "door-open": [100, 200]})
+    late = (rows["task"] == "door-open") & (rows["feedback"] == "5@5000/500")
+    figure = less_feedback(rows.assign(step=rows["step"] + 5 * late), jobs, replicates=200)
+    assert titles(figure) == ["button-press"]
+    assert "Not drawn: door-open: no evaluation step is common to all schedules" in words(figure)
 
 
 def test_less_feedback_pools_the_success_tasks():
