@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from rrmctl.errors import UserError
-from rrmctl.reports.series import ORACLE
+from rrmctl.reports.series import knows
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -71,7 +71,7 @@ def highest(entries: Iterable[tuple[Cell, Hashable, float]]) -> frozenset[Cell]:
 
 
 def best_methods(table: pd.DataFrame, value: str, by: Sequence[str], column: int) -> frozenset[Cell]:
-    """The cells of the best methods of a table with a row for each, the oracle outside the comparison.
+    """The cells of the best methods of a table with a row for each, the oracle and its variants outside it.
 
     Args:
         table: with a column `method`.
@@ -81,7 +81,7 @@ def best_methods(table: pd.DataFrame, value: str, by: Sequence[str], column: int
     """
     groups = table[list(by)].itertuples(index=False, name=None)
     rows = enumerate(zip(groups, table["method"], table[value], strict=True))
-    return highest(((at, column), group, number) for at, (group, method, number) in rows if method != ORACLE)
+    return highest(((at, column), group, number) for at, (group, method, number) in rows if not knows(method))
 
 
 @dataclass(frozen=True, eq=False)

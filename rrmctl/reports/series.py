@@ -27,6 +27,11 @@ NOTHING_ASKED = "-"
 ORACLE = "oracle"
 
 
+def knows(method: str) -> bool:
+    """Whether a method learns from the true reward: the oracle, or a variant of it such as oracle-bfloat16."""
+    return method.partition("-")[0] == ORACLE
+
+
 class Label(NamedTuple):
     """What a series is called in its experiment."""
 
@@ -37,8 +42,8 @@ class Label(NamedTuple):
 
     @property
     def knows(self) -> bool:
-        """Whether it is the oracle, or a variant of it such as oracle-bfloat16."""
-        return self.method.partition("-")[0] == ORACLE
+        """Whether its method learns from the true reward."""
+        return knows(self.method)
 
     def __str__(self) -> str:
         asked = [each for each in (self.teacher, self.feedback) if each != NOTHING_ASKED]

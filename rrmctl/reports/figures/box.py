@@ -14,7 +14,7 @@ import numpy as np
 from rrmctl.reports.marks import UNITS, contents, line, methods, score_axis, step_axis
 from rrmctl.reports.notebook import from_frames, nothing
 from rrmctl.reports.readings import Reading, comparable, readings
-from rrmctl.reports.series import ORACLE, Floats, Panel, Section, at_steps
+from rrmctl.reports.series import Floats, Panel, Section, at_steps, knows
 from rrmctl.reports.settings import DEFAULTS, Settings
 from rrmctl.reports.sheet import Shape, panel_title, shape, sheet
 from rrmctl.reports.styles import style
@@ -39,10 +39,7 @@ def suits(section: Section) -> bool:
     panels = section.panels()
     schedules = {(panel.task, panel.teacher) for panel in panels}
     return len(schedules) == len(panels) and any(
-        each.n >= MIN_RUNS and each.label.method != ORACLE
-        for panel in panels
-        if comparable(panel)
-        for each in panel.present()
+        each.n >= MIN_RUNS and not each.label.knows for panel in panels if comparable(panel) for each in panel.present()
     )
 
 
@@ -57,7 +54,7 @@ def draw(section: Section, settings: Settings = DEFAULTS) -> Figure:
         raise nothing(section, "no runs that can be compared at one step")
     form = shape(len(cells), settings.width)
     rows = [cells[start : start + form.across] for start in range(0, len(cells), form.across)]
-    names = list(dict.fromkeys(method for cell in cells for method in cell.strata if method != ORACLE))
+    names = list(dict.fromkeys(method for cell in cells for method in cell.strata if not knows(method)))
     boxes = _FRAME + _ROW * len(names)
     heights = [height for row in rows for height in ((_RULE, boxes) if any(map(_ruled, row)) else (boxes,))]
     with sheet(
@@ -116,7 +113,7 @@ def _draw_rule(axes: Axes, cell: Reading) -> None:
     (panel,), read = cell.panels, cell.read
     assert read is not None
     steps = panel.steps()
-    learners = [each for each in panel.present() if each.label.method != ORACLE]
+    learners = [each for each in panel.present() if not each.label.knows]
     for position, series in enumerate(learners):
         share = 100 * (at_steps(series, steps) >= 1.0).mean(axis=0)
         line(axes, steps, share, style(series.label.method), position, linewidth=1.0, markersize=3)
@@ -134,10 +131,10 @@ def _draw_boxes(axes: Axes, cell: Reading, names: Sequence[str], kind: IqmKind) 
     for row, method in enumerate(names):
         if method in cell.strata:
             _draw_box(axes, len(names) - 1 - row, method, cell, kind)
-    if ORACLE in cell.strata:
-        dots = style(ORACLE)
+    for oracle in filter(knows, cell.strata):
+        dots = style(oracle)
         axes.axvline(
-            float(mean(cell.runs(ORACLE))), color=dots.color, linestyle=dots.linestyle, linewidth=1.2, zorder=1
+            float(mean(cell.runs(oracle))), color=dots.color, linestyle=dots.linestyle, linewidth=1.2, zorder=1
         )
     if cell.score == "success":
         axes.set_xlim(-4, 104)

@@ -27,7 +27,7 @@ from rrmctl.reports.document import (
     plus_minus,
 )
 from rrmctl.reports.kinds.final import final_rows
-from rrmctl.reports.series import NOTHING_ASKED, ORACLE, Section
+from rrmctl.reports.series import NOTHING_ASKED, ORACLE, Section, knows
 from rrmctl.reports.settings import DEFAULTS, Settings
 from rrmctl.reports.words import BEST_NOTE, contents_notes, facts, statistics_notes, title
 
@@ -118,7 +118,7 @@ def _matrix(found: pd.DataFrame) -> Grid:
     best: list[tuple[Cell, tuple[str, str], float]] = []
     for teacher in dict.fromkeys(found["teacher"]):
         rows = [by_key.get((*key, teacher)) for key in keys]
-        own = [(at, row) for at, row in enumerate(rows) if row and row["method"] != ORACLE]
+        own = [(at, row) for at, row in enumerate(rows) if row and not knows(row["method"])]
         best += [((at, len(columns)), (row["task"], teacher), row["iqm"]) for at, row in own]
         header += [teacher, "paper"]
         columns += [[_halved(row) for row in rows], [NOTHING if row is None else _paper(row) for row in rows]]

@@ -18,7 +18,7 @@ from rrmctl.reports import published
 from rrmctl.reports.document import NOTHING, Grid, NoDataError, Report, highest, interval, number
 from rrmctl.reports.published import Checkpoint
 from rrmctl.reports.scores import score
-from rrmctl.reports.series import Section, Series
+from rrmctl.reports.series import Section, Series, knows
 from rrmctl.reports.settings import DEFAULTS, Settings
 from rrmctl.reports.words import BEST_NOTE, contents_notes, facts, statistics_notes, title
 
@@ -124,7 +124,9 @@ def _grid(found: pd.DataFrame) -> Grid:
     best = []
     for name, rows in halves.items():
         best += [
-            ((at, len(columns)), (row["task"], row["paper_step"], name), row["iqm"]) for at, row in enumerate(rows)
+            ((at, len(columns)), (row["task"], row["paper_step"], name), row["iqm"])
+            for at, row in enumerate(rows)
+            if not knows(row["method"])
         ]
         columns[name.capitalize()] = [number(row["iqm"], row["score"]) for row in rows]
         columns[f"{name.capitalize()}, 95 %"] = [

@@ -58,7 +58,7 @@ class Sweep:
             for task in self.tasks:
                 for method in (name for name, seeds in self.curves.items() if seed < len(seeds)):
                     key = (task, method, seed)
-                    asked = method != "oracle" and not method.startswith("sac-")
+                    asked = not method.startswith(("oracle", "sac-"))
                     labels = (task, method, *((self.teacher, self.feedback) if asked else ("-", "-")), seed)
                     own = () if labels[2:4] in (("oracle", FEEDBACK), ("-", "-")) else labels[2:4]
                     own = (*own, *self._version(key))

@@ -3,7 +3,9 @@ import numpy as np
 import pytest
 from scipy.stats import trim_mean
 
+from rrmctl.reports.figures import box
 from rrmctl.reports.figures.box import box_plot
+from rrmctl.reports.select import sections
 from rrmctl.reports.styles import style
 from tests.rrmctl.reports import scenes
 from tests.rrmctl.reports.frames import RISING, Sweep
@@ -21,10 +23,10 @@ def parts(figure):
 def test_a_box_holds_the_quartiles_and_every_seed():
     """At the common step: edges at the quartiles, a line at the mean, which is told, the IQM, and a point a seed."""
     (axes,), _ = parts(box_plot(*Sweep().frames()))
-    (box,) = (
+    (drawn,) = (
         patch for patch in axes.patches if mpl.colors.to_hex(patch.get_edgecolor()).upper() == style("pebble").color
     )
-    np.testing.assert_allclose([box.get_x(), box.get_x() + box.get_width()], np.quantile(AT_300, [0.25, 0.75]))
+    np.testing.assert_allclose([drawn.get_x(), drawn.get_x() + drawn.get_width()], np.quantile(AT_300, [0.25, 0.75]))
     own = [line for line in axes.get_lines() if line.get_color() == style("pebble").color]
     center, seeds = own
     assert set(center.get_xdata()) == {AT_300.mean()}
@@ -49,6 +51,18 @@ def test_the_oracle_is_a_dotted_line():
     (dots,) = (line for line in axes.get_lines() if line.get_linestyle() == ":")
     assert set(dots.get_xdata()) == {100.0}
     assert len(axes.patches) == 2
+
+
+def test_a_variant_of_the_oracle_is_no_learner():
+    """It has a dotted line of its own and no box, does not count in the rule, and alone it is nothing to compare."""
+    variant = {"oracle-bfloat16": RISING["oracle"]}
+    (axes,), (rule,) = parts(box_plot(*Sweep(curves=RISING | variant).frames()))
+    dotted = {line.get_color() for line in axes.get_lines() if line.get_linestyle() == ":"}
+    assert dotted == {style("oracle").color, style("oracle-bfloat16").color}
+    assert [label.get_text() for label in axes.get_yticklabels()] == ["rrm-proxy", "pebble"]
+    assert style("oracle-bfloat16").color not in {line.get_color() for line in rule.get_lines()}
+    knowing = dict.fromkeys(("oracle", *variant), RISING["oracle"])
+    assert [box.suits(each) for each in sections(*Sweep(curves=knowing).frames())] == [False]
 
 
 def test_the_rule_is_drawn_and_the_step_named():

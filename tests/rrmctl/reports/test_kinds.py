@@ -12,7 +12,7 @@ from rrmctl.errors import UserError
 from rrmctl.reports import published
 from rrmctl.reports.document import NoDataError
 from rrmctl.reports.kinds import all as everything
-from rrmctl.reports.kinds import claims, final, less_feedback, noisy_teacher, sim_to_real
+from rrmctl.reports.kinds import claims, final, iqm, less_feedback, noisy_teacher, sim_to_real
 from rrmctl.reports.render import to_text
 from rrmctl.reports.settings import Settings
 from tests.rrmctl.reports.stores import FULL, curve, section
@@ -88,6 +88,17 @@ def test_the_best_method_but_the_oracle_is_bold():
     assert len(listed.grid.best) == 3
     (matrix,) = noisy_teacher.make([noisy()], Settings(replicates=300, plus_minus=True))
     assert matrix.grid.best == {(4, 1), (4, 3), (4, 5)}
+
+
+@pytest.mark.parametrize("kind", [iqm, final])
+def test_a_variant_of_the_oracle_is_never_bold(kind):
+    """oracle-bfloat16 knows the true reward as well: the best of those that do not is marked."""
+    ends = {"oracle": 1.0, "oracle-bfloat16": 1.0, "pebble": 0.4, "pebble-bfloat16": 0.3}
+    asked = {name: ("-", "-") if name.startswith("oracle") else ("oracle", FULL) for name in ends}
+    series = {("button-press", name, *asked[name]): curve(0.1, end) for name, end in ends.items()}
+    (report,) = kind.make([section("precision", series, steps=[100, 200])], QUICK)
+    at = report.grid.header.index("Method")
+    assert [report.grid.rows[row][at] for row, _ in report.grid.best] == ["pebble"]
 
 
 def test_other_experiments_have_no_table_of_teachers_who_err():
@@ -213,6 +224,14 @@ def test_the_robots_grid_has_both_scores(robot):
         ("panda-reach", "50,000", "rrm-1d"),
     ]
     assert len(report.grid.best) == 18  # the better one of each checkpoint, for both scores
+
+
+def test_the_robots_oracle_is_not_bold(robot):
+    """A policy trained on the true reward stands in the table, outside of the comparison."""
+    labels = [("panda-push", "oracle", "-", "-"), ("panda-push", "pebble", "oracle", FULL)]
+    series = {label: curve(0.5, 1.0 - 0.5 * at) for at, label in enumerate(labels)}
+    (report,) = sim_to_real.make([section("sim-to-real", series, steps=[600_000, 1_000_000])], QUICK)
+    assert {report.grid.rows[row][2] for row, _ in report.grid.best} == {"pebble"}
 
 
 def test_a_store_without_the_robot_says_so():
