@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import defaultdict
-from collections.abc import Hashable, Iterable, Sequence
+from collections.abc import Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -56,6 +56,17 @@ class Grid:
         return [row if begins[at] else ("", *row[1:]) for at, row in enumerate(self.rows)]
 
 
+def tells_apart(table: pd.DataFrame, name: str, within: Sequence[str] = ("task",)) -> bool:
+    """Whether a column tells rows of equal `within` from one another."""
+    return bool((table.groupby(list(within))[name].nunique() > 1).any())
+
+
+def place_columns(table: pd.DataFrame) -> dict[str, Sequence[str]]:
+    """The task of each row, and its teacher and schedule of feedback where some task has several, by heading."""
+    names = ["task", *(name for name in ("teacher", "feedback") if tells_apart(table, name))]
+    return {name.capitalize(): list(table[name]) for name in names}
+
+
 def highest(entries: Iterable[tuple[Cell, Hashable, float]]) -> frozenset[Cell]:
     """The cells with the greatest number of their group; equals all count, NaN never does.
 
@@ -93,6 +104,11 @@ class Report:
     grid: Grid
     notes: tuple[str, ...]
     facts: dict[str, Any]  #: what the notes say, in JSON values; experiment, profile and variant among them
+
+
+def counts(rows: Iterable[Mapping[Any, Any]]) -> str:
+    """Runs of those planned, of each of several rows in one cell; once where all have equally many."""
+    return ", ".join(dict.fromkeys(f"{row['n']}/{row['planned']}" for row in rows))
 
 
 def number(value: float, score: Score) -> str:

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
-from rrmctl.reports.document import Grid, Report, best_methods, interval, number, spread
+from rrmctl.reports.document import Grid, Report, best_methods, interval, number, place_columns, spread
 from rrmctl.reports.scores import at, score
 from rrmctl.reports.series import Panel, Section
 from rrmctl.reports.settings import DEFAULTS, Settings
@@ -60,11 +60,7 @@ def final_rows(panel: Panel, settings: Settings) -> Iterator[dict[str, Any]]:
 def _report(section: Section, settings: Settings) -> Report:
     found = table(section, settings)
     rows = found.to_dict("records")
-    columns: dict[str, Sequence[str]] = {"Task": list(found["task"])}
-    for name in ("teacher", "feedback"):
-        if (found.groupby("task")[name].nunique() > 1).any():
-            columns[name.capitalize()] = list(found[name])
-    columns["Method"] = list(found["method"])
+    columns = place_columns(found) | {"Method": list(found["method"])}
     words = len(columns)
     columns["Step"] = [f"{row['step']:,}" for row in rows]
     columns["Final"] = [number(row["iqm"], row["score"]) for row in rows]

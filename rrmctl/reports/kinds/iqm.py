@@ -12,7 +12,7 @@ from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
 from rrmctl.reports import aggregates
-from rrmctl.reports.document import NOTHING, Grid, Report, best_methods, interval, number, spread
+from rrmctl.reports.document import NOTHING, Grid, Report, best_methods, interval, number, place_columns, spread
 from rrmctl.reports.series import Panel, Section
 from rrmctl.reports.settings import Settings
 from rrmctl.reports.tables import ALL_TASKS, across_tasks, iqm_table
@@ -46,11 +46,7 @@ def _report(section: Section, settings: Settings) -> Report:
 
 def _grid(table: pd.DataFrame) -> Grid:
     """The table for people; columns that say nothing are left out."""
-    columns: dict[str, Sequence[str]] = {"Task": list(table["task"])}
-    for name in ("teacher", "feedback"):
-        if (table.groupby("task")[name].nunique() > 1).any():
-            columns[name.capitalize()] = list(table[name])
-    columns["Method"] = list(table["method"])
+    columns = place_columns(table) | {"Method": list(table["method"])}
     words, rows = len(columns), table.to_dict("records")
     columns["Step"] = [_step(row) for row in rows]
     columns["IQM"] = [number(row["iqm"], row["score"]) for row in rows]

@@ -11,7 +11,7 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-from rrmctl.reports.document import NOTHING, Grid, NoDataError, Report, highest, interval, number
+from rrmctl.reports.document import NOTHING, Grid, NoDataError, Report, counts, highest, interval, number
 from rrmctl.reports.scores import read_together, score
 from rrmctl.reports.series import NOTHING_ASKED, Section, Series
 from rrmctl.reports.settings import DEFAULTS, Settings
@@ -126,7 +126,7 @@ def _grid(found: pd.DataFrame) -> Grid:
     columns: dict[str, Sequence[str]] = {name.capitalize(): [key[at] for key in keys] for at, name in enumerate(names)}
     for method in dict.fromkeys(found["method"]):
         columns[method] = [_cell(by_key.get((key, method))) for key in keys]
-    columns["n"] = [_counts([row for (other, _), row in by_key.items() if other == key]) for key in keys]
+    columns["n"] = [counts(row for (other, _), row in by_key.items() if other == key) for key in keys]
     at = {name: column for column, name in enumerate(columns)}
     entries = (((keys.index(key), at[name]), key, row["mean_iqm"]) for (key, name), row in by_key.items())
     return Grid.of(columns, words=len(names), best=highest(entries))
@@ -136,11 +136,6 @@ def _cell(row: dict[Any, Any] | None) -> str:
     if row is None or math.isnan(row["mean_iqm"]):
         return NOTHING
     return f"{number(row['mean_iqm'], row['score'])} {interval(row['low'], row['high'], row['score'], row['n'])}"
-
-
-def _counts(rows: Sequence[dict[Any, Any]]) -> str:
-    """Runs of each method of those planned; once where all have equally many."""
-    return ", ".join(dict.fromkeys(f"{row['n']}/{row['planned']}" for row in rows))
 
 
 def _notes(section: Section, found: pd.DataFrame, settings: Settings) -> Iterator[str]:

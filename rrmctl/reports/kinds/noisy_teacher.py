@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from rrmctl.reports import published
@@ -21,10 +21,12 @@ from rrmctl.reports.document import (
     NoDataError,
     Report,
     best_methods,
+    counts,
     highest,
     interval,
     number,
     plus_minus,
+    tells_apart,
 )
 from rrmctl.reports.kinds.final import final_rows
 from rrmctl.reports.series import NOTHING_ASKED, ORACLE, Section, knows
@@ -92,9 +94,8 @@ def _report(section: Section, found: pd.DataFrame, settings: Settings) -> Report
 def _list(found: pd.DataFrame) -> Grid:
     """A row for each teacher and method."""
     rows = found.to_dict("records")
-    columns: dict[str, Sequence[str]] = {"Task": list(found["task"])} if found["task"].nunique() > 1 else {}
-    columns |= {"Teacher": list(found["teacher"]), "Method": list(found["method"])}
-    words = len(columns)
+    names = [*_places(found), "method"]
+    columns: dict[str, Sequence[str]] = {name.capitalize(): list(found[name]) for name in names}
     columns["Step"] = [f"{row['step']:,}" for row in rows]
     columns["Final"] = [number(row["iqm"], row["score"]) for row in rows]
     columns["95 % interval"] = [interval(row["low"], row["high"], row["score"], row["n"]) for row in rows]
@@ -102,30 +103,45 @@ def _list(found: pd.DataFrame) -> Grid:
     columns["Paper"] = [_paper(row) for row in rows]
     columns["Difference"] = [_signed(row["difference"]) for row in rows]
     best = best_methods(found, "iqm", ("task", "teacher", "feedback"), list(columns).index("Final"))
-    return Grid.of(columns, words=words, best=best)
+    return Grid.of(columns, words=len(names), best=best)
+
+
+def _places(found: pd.DataFrame) -> list[str]:
+    """The columns that tell one comparison from another."""
+    task = ["task"] if found["task"].nunique() > 1 else []
+    return [*task, "teacher", *(["feedback"] if tells_apart(found, "feedback", ("task", "teacher")) else [])]
 
 
 def _matrix(found: pd.DataFrame) -> Grid:
-    """The paper's form: a row for each method whatever it builds on, a column for each teacher, the paper's beside."""
-    by_key = {
-        (row["task"], _family(row["method"]), row["teacher"]): row | {"family": _family(row["method"])}
-        for row in found.to_dict("records")
-    }
-    keys = list(dict.fromkeys(key[:2] for key in by_key))
-    words = ["task", "family"] if found["task"].nunique() > 1 else ["family"]
+    """The paper's form: a row for each method whatever it builds on, a column for each teacher, the paper's beside.
+
+    Methods of which several would share a row keep rows of their own, and schedules of one teacher have columns.
+    """
+    place, asked = ["task"], ["teacher", "feedback"]
+    named = found.assign(family=found["method"].map(_family))
+    shared = named.duplicated([*place, *asked, "family"]).any()
+    place.append("method" if shared else "family")
+    asked = [name for name in asked if name in _places(found)]
+    by_key: dict[tuple[str, ...], dict[tuple[str, ...], dict[Any, Any]]] = {}
+    for row in named.to_dict("records"):
+        by_key.setdefault(_key(row, place), {})[_key(row, asked)] = row
+    words = place if found["task"].nunique() > 1 else place[1:]
     header = [name.capitalize() if name == "task" else "Method" for name in words]
-    columns = [[dict(zip(("task", "family"), key, strict=True))[name] for key in keys] for name in words]
-    best: list[tuple[Cell, tuple[str, str], float]] = []
-    for teacher in dict.fromkeys(found["teacher"]):
-        rows = [by_key.get((*key, teacher)) for key in keys]
+    columns = [list(column) for column in zip(*by_key, strict=True)][-len(words) :]
+    best: list[tuple[Cell, tuple[str, ...], float]] = []
+    for head in dict.fromkeys(_key(row, asked) for row in named.to_dict("records")):
+        rows = [by_asked.get(head) for by_asked in by_key.values()]
         own = [(at, row) for at, row in enumerate(rows) if row and not knows(row["method"])]
-        best += [((at, len(columns)), (row["task"], teacher), row["iqm"]) for at, row in own]
-        header += [teacher, "paper"]
+        best += [((at, len(columns)), (row["task"], *head), row["iqm"]) for at, row in own]
+        header += [" ".join(head), "paper"]
         columns += [[_halved(row) for row in rows], [NOTHING if row is None else _paper(row) for row in rows]]
-    counts = [[row for key, row in by_key.items() if key[:2] == each] for each in keys]
     header.append("n")
-    columns.append([", ".join(dict.fromkeys(f"{row['n']}/{row['planned']}" for row in rows)) for rows in counts])
+    columns.append([counts(by_asked.values()) for by_asked in by_key.values()])
     return Grid(tuple(header), tuple(zip(*columns, strict=True)), len(words), highest(best))
+
+
+def _key(row: Mapping[Any, Any], names: Sequence[str]) -> tuple[str, ...]:
+    return tuple(row[name] for name in names)
 
 
 def _family(method: str) -> str:
@@ -151,7 +167,7 @@ def _signed(difference: float) -> str:
 
 def _notes(section: Section, found: pd.DataFrame, settings: Settings) -> Iterator[str]:
     yield from contents_notes(section)
-    steps = dict(zip(found["teacher"], found["step"], strict=True))
+    steps = {" ".join(_key(row, _places(found))): row["step"] for row in found.to_dict("records")}
     yield f"Read at the last common step: {', '.join(f'{name} at {step:,}' for name, step in steps.items())}."
     yield (
         f"Paper: {published.source(EXPERIMENT)}, at the paper's scale, in % ± half a 95 % interval; "

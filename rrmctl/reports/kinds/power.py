@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from rrmctl.reports.contests import Contest, Contests, decide
-from rrmctl.reports.document import NOTHING, Grid, Report, interval, number
+from rrmctl.reports.document import NOTHING, Grid, Report, interval, number, place_columns
 from rrmctl.reports.series import Section
 from rrmctl.reports.settings import BOOTSTRAP_SEED, LEVEL, Settings
 from rrmctl.reports.words import contents_notes, facts, statistics_notes, title
@@ -67,10 +67,7 @@ def _row(contest: Contest, contests: Contests, settings: Settings) -> dict[str, 
 
 def _grid(table: pd.DataFrame, contests: Contests) -> Grid:
     """The table for people; columns that say nothing are left out."""
-    columns: dict[str, Sequence[str]] = {"Task": list(table["task"])}
-    for name in ("teacher", "feedback"):
-        if (table.groupby("task")[name].nunique() > 1).any():
-            columns[name.capitalize()] = list(table[name])
+    columns = place_columns(table)
     columns |= {"Method": list(table["method"]), "Against": list(table["against"])}
     words, rows = len(columns), table.to_dict("records")
     columns["n"] = [f"{row['n']}:{row['n_against']}" for row in rows]

@@ -80,6 +80,38 @@ def test_intervals_are_brackets_unless_the_papers_form_is_asked_for():
     assert any(note.startswith("± is half") for note in matrix.notes)
 
 
+PAPERS_FORM = Settings(replicates=300, plus_minus=True)
+
+
+def test_the_papers_form_drops_no_method():
+    """Where several methods would share a row of the paper's, each has a row under its own name."""
+    names = ("pebble", "surf", "mrn", "rrm-proxy", "rrm-mrn-proxy")
+    series = {("door-open", name, "mistaken-10", FULL): curve(0.1 * at) for at, name in enumerate(names)}
+    (matrix,) = noisy_teacher.make([section("noisy-teacher", series, steps=[100])], PAPERS_FORM)
+    assert [cells[0] for cells in matrix.grid.rows] == list(names)
+    assert [cells[1].partition(" ")[0] for cells in matrix.grid.rows] == ["0.0", "10.0", "20.0", "30.0", "40.0"]
+
+
+def test_schedules_of_a_teacher_are_told_apart():
+    """A teacher who is asked under two schedules has a column for each, and in the list the schedule is named."""
+    levels = {FULL: 0.6, "5@5000/500": 0.2}
+    series = {("door-open", "pebble", "stochastic", asked): curve(level) for asked, level in levels.items()}
+    found = section("noisy-teacher", series, steps=[100])
+    (matrix,), (listed,) = (noisy_teacher.make([found], settings) for settings in (PAPERS_FORM, QUICK))
+    assert matrix.grid.header == ("Method", f"stochastic {FULL}", "paper", "stochastic 5@5000/500", "paper", "n")
+    assert matrix.grid.rows == (("baseline", "60.0 ± 0.0", "–", "20.0 ± 0.0", "–", "5/5"),)
+    assert listed.grid.header[:3] == ("Teacher", "Feedback", "Method")
+    assert [cells[1] for cells in listed.grid.rows] == list(levels)
+
+
+def test_the_step_of_every_task_is_told():
+    """Two tasks whose runs end apart under one teacher are both named with the step at which they are read."""
+    labels = [(task, "pebble", "stochastic", FULL) for task in ("door-open", "button-press")]
+    steps = {label: [100 * (at + 1)] for at, label in enumerate(labels)}
+    (report,) = noisy_teacher.make([section("noisy-teacher", dict.fromkeys(labels, curve(0.5)), steps=steps)], QUICK)
+    assert "Read at the last common step: door-open stochastic at 100, button-press stochastic at 200." in report.notes
+
+
 def test_the_best_method_but_the_oracle_is_bold():
     """Under each teacher the highest value of a method other than the oracle is marked, in both forms."""
     (listed,) = noisy_teacher.make([noisy()], QUICK)
