@@ -1,7 +1,8 @@
 """Which methods are compared with which, by which number a seed, and what the sequential test says of them so far.
 
 A run's number is its mean score over training, the area under its own curve: it is known as soon as the run is done and
-depends on no other run, as the step at which `report iqm` reads all methods does.
+depends on no other run, as the step at which `report iqm` reads all methods does. So all of its own evaluations count,
+and a run that was not a number at one of them has none.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ import numpy as np
 
 from rrm.envs.tasks import Score
 from rrmctl.errors import UserError
-from rrmctl.reports.series import NOTHING_ASKED, Floats, Label, Section, Series, at_steps
+from rrmctl.reports.series import NOTHING_ASKED, SCORE_COLUMN, Floats, Label, Section, Series
 from rrmctl.stats import Comparison, Design, Verdict, area_under_curve, sequential_test
 from rrmctl.store.trials import Pairing, Trial
 
@@ -54,12 +55,9 @@ class Contests:
 
 
 def every_pair(labels: Iterable[Label]) -> list[Pairing]:
-    """Each method of each panel against those before it."""
-    return [
-        Pairing(*where, later, earlier)
-        for where, methods in _panels(labels).items()
-        for earlier, later in combinations(methods, 2)
-    ]
+    """Each method of each panel against those before it; two that ask nothing once for their task."""
+    pairs = (_pair(later, earlier) for panel in _panels(labels) for earlier, later in combinations(panel, 2))
+    return list(dict.fromkeys(pairs))
 
 
 def against(labels: Iterable[Label], method: str | None) -> list[Pairing]:
@@ -69,13 +67,14 @@ def against(labels: Iterable[Label], method: str | None) -> list[Pairing]:
         UserError: a panel lacks the method, or has no other.
     """
     found = []
-    for where, methods in _panels(labels).items():
-        one = method or methods[0]
-        if one not in methods or len(methods) < 2:
-            what = f"there is no {one}" if one not in methods else f"{one} is the only method"
-            raise UserError(f"{where[0]}: {what}, so nothing is compared", f"it has: {', '.join(methods)}")
-        found += [Pairing(*where, other, one) for other in methods if other != one]
-    return found
+    for panel in _panels(labels):
+        known = {each.method: each for each in panel}
+        one = method or panel[0].method
+        if one not in known or len(known) < 2:
+            what = f"there is no {one}" if one not in known else f"{one} is the only method"
+            raise UserError(f"{panel[0].task}: {what}, so nothing is compared", f"it has: {', '.join(known)}")
+        found += [_pair(other, known[one]) for other in panel if other.method != one]
+    return list(dict.fromkeys(found))
 
 
 def decide(section: Section, trial: Trial | None, *, seeds: Collection[int] | None = None) -> Contests:
@@ -87,16 +86,18 @@ def decide(section: Section, trial: Trial | None, *, seeds: Collection[int] | No
             planned, but no fewer than four.
         seeds: look at these alone; None looks at all.
     """
-    labels = [series.label for series in section.series]
-    pairs = every_pair(labels) if trial is None else trial.pairs
+    pairs = every_pair(series.label for series in section.series) if trial is None else trial.pairs
     if trial is None:
         usual = Design()
         planned = max((each.planned for each in section.series), default=0)
         design = Design(looks=max(usual.looks, -(-planned // usual.group)))
     else:
         design = Design(group=trial.group, looks=trial.looks, alpha=trial.alpha)
-    scores = [_scores(section, pair, seeds) for pair in pairs]
-    tested = [_in_order(section, pair, *each) for pair, each in zip(pairs, scores, strict=True)]
+    known = {series.label: _scores(series, seeds) for series in section.series}
+    labels = [(_labelled(known, pair, pair.method), _labelled(known, pair, pair.against)) for pair in pairs]
+    scores = [(known.get(one, {}), known.get(other, {})) for one, other in labels]
+    scores = [each if all(each) else ({}, {}) for each in scores]  # nothing is said of one alone
+    tested = [_in_order(section, two, *each, seeds=seeds) for two, each in zip(labels, scores, strict=True)]
     kinds = {series.label.task: series.score for series in section.series}
     contests = [
         Contest(pair, kinds.get(pair.task, "success"), _array(ours), _array(theirs), comparison, verdict)
@@ -107,50 +108,60 @@ def decide(section: Section, trial: Trial | None, *, seeds: Collection[int] | No
     return Contests(design, tuple(contests))
 
 
-def _panels(labels: Iterable[Label]) -> dict[tuple[str, str, str], list[str]]:
-    """Methods by task, teacher and feedback; what asks nothing is in every panel of its task."""
+def without_score(series: Series) -> list[str]:
+    """The finished runs of a series that cannot be compared by this number, and why not."""
+    rows = series.rows[~np.isfinite(series.rows[SCORE_COLUMN[series.score]])] if series.finished else series.rows[:0]
+    return [
+        f"{series.label}: run {run} (seed {seed}) is not compared: {SCORE_COLUMN[series.score]} is not a number at "
+        f"{len(own)} of its evaluations (first at step {own['step'].min():,})"
+        for (seed, run), own in rows.groupby(["seed", "run"])
+    ]
+
+
+def _panels(labels: Iterable[Label]) -> list[list[Label]]:
+    """What is compared with one another: by task, teacher and feedback; what asks nothing is in all of its task."""
     distinct = list(dict.fromkeys(labels))
-    found = {}
+    found = []
     for task in dict.fromkeys(label.task for label in distinct):
         here = [label for label in distinct if label.task == task]
-        asked = dict.fromkeys((each.teacher, each.feedback) for each in here if each.teacher != NOTHING_ASKED)
+        asked = dict.fromkeys(each[2:] for each in here if each.teacher != NOTHING_ASKED)
         for where in asked or {(NOTHING_ASKED, NOTHING_ASKED): None}:
-            own = (where, (NOTHING_ASKED, NOTHING_ASKED))
-            found[task, *where] = [each.method for each in here if (each.teacher, each.feedback) in own]
+            found.append([each for each in here if each[2:] in (where, (NOTHING_ASKED, NOTHING_ASKED))])
     return found
 
 
-def _scores(section: Section, pair: Pairing, seeds: Collection[int] | None) -> tuple[Scores, Scores]:
-    """The number of each seed of both methods; steps that only one of them has do not count."""
-    both = [_series(section, pair, method) for method in (pair.method, pair.against)]
-    done = [each for each in both if each is not None and each.n and each.finished]
-    if len(done) < 2:
-        return {}, {}
-    steps = np.intersect1d(done[0].steps, done[1].steps)
-    if steps.size == 0:
-        raise UserError(f"{pair.task}: {pair.method} and {pair.against} have no evaluation step in common")
-    areas = [area_under_curve(steps, at_steps(each, steps)) for each in done]
-    ours, theirs = (
-        {seed: float(area) for seed, area in zip(each.seeds, found, strict=True) if seeds is None or seed in seeds}
-        for each, found in zip(done, areas, strict=True)
-    )
-    return ours, theirs
+def _pair(method: Label, other: Label) -> Pairing:
+    """Of two labels of a panel; its teacher and feedback are those of the one that asks."""
+    asked = other if method.teacher == NOTHING_ASKED else method
+    return Pairing(asked.task, asked.teacher, asked.feedback, method.method, other.method)
 
 
-def _series(section: Section, pair: Pairing, method: str) -> Series | None:
-    labels = (Label(pair.task, method, *asked) for asked in (pair[1:3], (NOTHING_ASKED, NOTHING_ASKED)))
-    known = {series.label: series for series in section.series}
-    return next((known[label] for label in labels if label in known), None)
+def _scores(series: Series, seeds: Collection[int] | None) -> Scores:
+    """The number of each finished run, of its own evaluations alone; none where one of them is not a number."""
+    if not series.finished:
+        return {}
+    found = {}
+    for seed in sorted(set(series.rows["seed"].tolist()) if seeds is None else seeds):
+        own = series.rows[series.rows["seed"] == seed].sort_values("step")
+        values = own[SCORE_COLUMN[series.score]].to_numpy(dtype=np.float64)
+        if values.size and np.isfinite(values).all():
+            found[seed] = float(area_under_curve(own["step"], values))
+    return found
 
 
-def _in_order(section: Section, pair: Pairing, ours: Scores, theirs: Scores) -> Comparison:
+def _labelled(known: Collection[Label], pair: Pairing, method: str) -> Label:
+    """What a method of a pair is called in its section, whether it asks or not."""
+    asking = Label(pair.task, method, pair.teacher, pair.feedback)
+    return asking if asking in known else Label(pair.task, method, NOTHING_ASKED, NOTHING_ASKED)
+
+
+def _in_order(
+    section: Section, labels: Collection[Label], ours: Scores, theirs: Scores, *, seeds: Collection[int] | None
+) -> Comparison:
     """The scores in the order of the seeds that were planned for either method, up to the first missing one of each."""
-    missing = {
-        each.seed
-        for each in section.absent
-        if each.label.task == pair.task and each.label.method in (pair.method, pair.against)
-    }
-    order = sorted({*ours, *theirs} | missing)
+    planned = {each.seed for each in section.absent if each.label in labels}
+    planned |= {seed for each in section.series if each.label in labels for seed in each.seeds}
+    order = sorted(planned if seeds is None else planned.intersection(seeds))
     return Comparison(*([each[seed] for seed in takewhile(each.__contains__, order)] for each in (ours, theirs)))
 
 

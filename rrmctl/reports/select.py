@@ -21,14 +21,13 @@ from rrmctl.errors import UserError
 from rrmctl.planning.manifest import nearest
 from rrmctl.reports import mixing
 from rrmctl.reports.mixing import Making
-from rrmctl.reports.series import Absent, Label, Section, Series, by_seed
+from rrmctl.reports.series import SCORE_COLUMN, Absent, Label, Section, Series, by_seed
 from rrmctl.store.reader import load, open_results, planned
 from rrmctl.store.trials import read_trial
 
 if TYPE_CHECKING:
     import pandas as pd
 
-_COLUMN = {"success": "success", "return": "true_return"}
 _UNDER_WAY = ("running", "interrupted", "queued")
 
 
@@ -213,14 +212,14 @@ def _series(label: Label, rows: pd.DataFrame, versions: Mapping[str, int], probl
     for _, alike in used.groupby(age[age == newest]):  # versions differ in their cells; whether they meet is mixing's
         _one_cell(label, alike)
     who = _distinct(used.sort_values("seed"), "seed", "run")
-    steps, values = by_seed(used, _COLUMN[score])
+    steps, values = by_seed(used, SCORE_COLUMN[score])
     finite = np.isfinite(values).all(axis=0)
     if not finite.all():
         where = int(np.flatnonzero(~finite)[0])
         bad = ", ".join(run for (_, run), value in zip(who, values[:, where], strict=True) if not np.isfinite(value))
         problems.append(
-            f"{label}: {_COLUMN[score]} is not a number at {int((~finite).sum())} of {steps.size} evaluation steps "
-            f"(first at {steps[where]:,}, run {bad}); these steps are left out"
+            f"{label}: {SCORE_COLUMN[score]} is not a number at {int((~finite).sum())} of {steps.size} evaluation "
+            f"steps (first at {steps[where]:,}, run {bad}); these steps are left out"
         )
     steps, values = steps[finite], values[:, finite]
     who = who if steps.size else []

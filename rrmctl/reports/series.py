@@ -22,6 +22,9 @@ if TYPE_CHECKING:
 Floats = npt.NDArray[np.float64]
 Steps = npt.NDArray[np.int64]
 
+#: The column of the curve that holds a score.
+SCORE_COLUMN: dict[Score, str] = {"success": "success", "return": "true_return"}
+
 #: What stands for teacher and feedback where nothing is asked; such a series belongs to every panel of its task.
 NOTHING_ASKED = "-"
 ORACLE = "oracle"

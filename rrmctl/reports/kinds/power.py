@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from rrmctl.reports.contests import Contest, Contests, decide
+from rrmctl.reports.contests import Contest, Contests, decide, without_score
 from rrmctl.reports.document import NOTHING, Grid, Report, interval, number, place_columns
 from rrmctl.reports.series import Section
 from rrmctl.reports.settings import BOOTSTRAP_SEED, LEVEL, Settings
@@ -46,8 +46,11 @@ def _report(section: Section, settings: Settings) -> Report:
     found = decide(section, section.trial)
     rows = [_row(each, found, settings) for each in found.contests if each.ours.size]
     table = pd.DataFrame(rows, columns=list(COLUMNS)).astype({"more": "Int64"})
+    refused = [why for series in section.series for why in without_score(series)]
     known = facts(section, settings) | {"test": _rules(section, found)}
-    return Report(title(section), table, _grid(table, found), tuple(_notes(section, found, settings)), known)
+    known["problems"] += refused
+    notes = (*contents_notes(section), *refused, *_notes(section, found, settings))
+    return Report(title(section), table, _grid(table, found), notes, known)
 
 
 def _row(contest: Contest, contests: Contests, settings: Settings) -> dict[str, Any]:
@@ -104,7 +107,6 @@ def _rules(section: Section, contests: Contests) -> dict[str, Any]:
 
 
 def _notes(section: Section, contests: Contests, settings: Settings) -> Iterator[str]:
-    yield from contents_notes(section)
     design = contests.design
     yield (
         "Compared is each seed's mean score over training. Difference: interquartile mean of the method minus that of "

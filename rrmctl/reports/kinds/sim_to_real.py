@@ -18,7 +18,7 @@ from rrmctl.reports import published
 from rrmctl.reports.document import NOTHING, Grid, NoDataError, Report, highest, interval, number
 from rrmctl.reports.published import Checkpoint
 from rrmctl.reports.scores import score
-from rrmctl.reports.series import Section, Series, knows
+from rrmctl.reports.series import SCORE_COLUMN, Section, Series, knows
 from rrmctl.reports.settings import DEFAULTS, Settings
 from rrmctl.reports.words import BEST_NOTE, contents_notes, facts, statistics_notes, title
 
@@ -31,8 +31,6 @@ COLUMNS = (
     "task", "teacher", "feedback", "method", "score", "paper_step", "step", "iqm", "low", "high", "n", "planned",
     "published", "difference",
 )  # fmt: skip
-
-_MEASURED = {"success": "success", "return": "true_return"}
 
 
 def make(sections: Sequence[Section], settings: Settings) -> list[Report]:
@@ -68,7 +66,7 @@ def table(section: Section, settings: Settings = DEFAULTS) -> pd.DataFrame:
 
 def _rows(series: Series, checkpoint: Checkpoint, profile: str, settings: Settings) -> Iterator[dict[str, Any]]:
     told = {"success": checkpoint.success, "return": checkpoint.true_return}
-    for name, column in _MEASURED.items():
+    for name, column in SCORE_COLUMN.items():
         row: dict[str, Any] = {
             **series.label._asdict(), "score": name, "paper_step": checkpoint.step, "n": 0, "planned": series.planned,
             "published": told[name],
@@ -113,7 +111,7 @@ def _grid(found: pd.DataFrame) -> Grid:
     order = ["task", "paper_step", "method"]
     table = found.assign(task=found["task"].astype("category").cat.set_categories(list(dict.fromkeys(found["task"]))))
     table = table.sort_values(order[:2], kind="stable")
-    halves = {name: table[table["score"] == name].to_dict("records") for name in _MEASURED}
+    halves = {name: table[table["score"] == name].to_dict("records") for name in SCORE_COLUMN}
     success = halves["success"]
     columns: dict[str, Sequence[str]] = {
         "Task": [row["task"] for row in success],

@@ -1,12 +1,14 @@
 import numpy as np
+import pandas as pd
 import pytest
 from scipy.stats import mannwhitneyu, trim_mean
 
-from rrmctl.reports.contests import decide, every_pair
+from rrmctl.reports.contests import against, decide, every_pair
 from rrmctl.reports.kinds import kinds
 from rrmctl.reports.kinds.power import COLUMNS, make
 from rrmctl.reports.render import to_text
 from rrmctl.reports.select import sections
+from rrmctl.reports.series import Label
 from rrmctl.reports.settings import Settings
 from rrmctl.store.trials import Pairing, Trial
 from tests.rrmctl.reports.frames import RISING, SATURATED, Sweep
@@ -108,6 +110,47 @@ def test_a_missing_seed_holds_up_its_group():
     assert (lacking["decision"], lacking["seeds"], lacking["n_against"]) == ("open", 0, 9)
 
 
+def broken(curves):
+    """A section in which the last seed of pebble was not a number at its second and third evaluation."""
+    rows, jobs = Sweep(curves=curves).frames()
+    last = rows["seed"] == len(curves["pebble"]) - 1
+    rows.loc[last & (rows["method"] == "pebble") & rows["step"].isin([200, 300]), "success"] = np.nan
+    (found,) = sections(rows, jobs)
+    return found
+
+
+def test_no_other_run_changes_a_runs_number():
+    """A sixth seed that was not a number at two steps leaves the others' numbers alone and is named as not compared."""
+    curves = RISING | {"pebble": [*RISING["pebble"], [0.1, 0.2, 0.3, 0.4]]}
+    found = broken(curves)
+    without, beside = decide(section(), None).contests, decide(found, None).contests
+    for one, other in zip(without, beside, strict=True):
+        np.testing.assert_array_equal(one.ours, other.ours)
+        np.testing.assert_array_equal(one.theirs, other.theirs)
+    made = report(found)
+    (note,) = (note for note in made.notes if "is not compared" in note)
+    assert "pebble (oracle, 50@5000/5000): run " in note
+    assert "(seed 5) is not compared: success is not a number at 2 of its evaluations (first at step 200)" in note
+    assert note in made.facts["problems"]
+
+
+def test_a_run_without_a_number_holds_up_its_group():
+    """As if it were missing: the seeds after it wait."""
+    curves = {"rrm-proxy": runs(0.8, 5, 2), "pebble": runs(0.3, 5, 1)}
+    (contest,) = decide(broken(curves), None).contests
+    assert (contest.verdict.looks, contest.theirs.size + contest.ours.size) == (0, 9)
+
+
+def test_methods_evaluated_at_different_steps_are_compared():
+    """A mean over training needs no step in common."""
+    rows, jobs = Sweep().frames()
+    rows["step"] += 50 * (rows["method"] == "pebble")
+    (found,) = sections(rows, jobs)
+    both = decide(found, None).contests[-1]
+    np.testing.assert_allclose(both.ours, areas("rrm-proxy"))
+    np.testing.assert_allclose(both.theirs, areas("pebble"))
+
+
 def test_a_trial_sets_the_rules():
     """Its pairs, its groups and its level; other pairs have no row, and the note about rules is gone."""
     curves = {"pebble": runs(0.3, 8, 1), "rrm-proxy": runs(0.8, 8, 2), "surf": runs(0.3, 8, 3)}
@@ -132,6 +175,25 @@ def test_pairs_of_a_task_with_two_teachers_are_two():
     assert {(pair.teacher, pair.against) for pair in found if pair.method == "pebble"} == {
         ("oracle", "oracle"), ("mistaken-10", "oracle")
     }  # fmt: skip
+
+
+def test_what_asks_nothing_is_compared_once():
+    """Two methods without a teacher are one pair of their task, however many teachers others have."""
+    alone = [Label("button-press", name, "-", "-") for name in ("oracle", "sac-proxy")]
+    taught = [Label("button-press", "pebble", teacher, "50@5000/5000") for teacher in ("oracle", "mistaken-10")]
+    assert every_pair([*alone, *taught])[0] == Pairing("button-press", "-", "-", "sac-proxy", "oracle")
+    assert len(every_pair([*alone, *taught])) == 5
+    assert [pair[1] for pair in against([*alone, *taught], "oracle")] == ["-", "oracle", "mistaken-10"]
+
+
+def test_another_teachers_missing_run_holds_up_nothing():
+    """The group waits for the seeds of its own two methods, under their own teacher."""
+    curves = {"pebble": runs(0.3, 6, 1), "surf": runs(0.9, 6, 3)}
+    failed = {("button-press", "pebble", 0): "failed"}
+    own, other = Sweep(curves=curves).frames(), Sweep(curves=curves, teacher="mistaken-10", states=failed).frames()
+    (found,) = sections(*(pd.concat([a[a["seed"] > 0], b]) for a, b in zip(own, other, strict=True)))
+    looks = {each.pair.teacher: each.verdict.looks for each in decide(found, None).contests}
+    assert looks == {"oracle": 1, "mistaken-10": 0}
 
 
 @pytest.mark.parametrize("form", ["markdown", "csv", "latex", "json"])
