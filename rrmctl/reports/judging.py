@@ -135,7 +135,10 @@ def _measured(test: Test, tasks: Sequence[str], section: Section, settings: Sett
 
 
 def _deviation(scores: Floats) -> Floats:
-    return np.asarray(np.std(scores, axis=-1))
+    """Of the population that the seeds are drawn from, so that methods with few seeds do not seem steadier."""
+    if scores.shape[-1] == 1:
+        return np.full(scores.shape[:-1], np.nan)
+    return np.asarray(np.std(scores, axis=-1, ddof=1))
 
 
 def _series(section: Section, task: str, arm: Arm) -> Series:

@@ -122,6 +122,15 @@ def test_readings():
     assert read(Reading(words="spread", spread=True)) == pytest.approx(0.0)
 
 
+@pytest.mark.parametrize(("seeds", "expected"), [(3, 0.1), (9, np.sqrt(0.0046875)), (1, float("nan"))])
+def test_few_seeds_do_not_seem_steadier(seeds, expected):
+    """The deviation is an estimate of the population's (n - 1), which one seed has none of."""
+    found = store({"pebble": 0.5}, seeds=seeds)
+    reading = Reading(words="spread", spread=True)
+    (finding,) = judge(claim(*at_least(0.0, "pebble", reading=reading)), {"e": found}, QUICK).findings
+    assert float(finding.found.estimate) == pytest.approx(expected, nan_ok=True)
+
+
 def test_schedules_are_found_at_every_scale():
     """A tenth of the questions is a tenth of them in a shorter profile too."""
     tests = below(0.6, Arm("pebble", budget=Budget(batch=0.1)), Arm("pebble", budget=Budget(every=4)))
