@@ -137,14 +137,14 @@ def _look(layout: Layout, plan: Plan, trial: Trial, seeds: list[int]) -> Contest
     """Where the comparisons stand with these seeds.
 
     Raises:
-        UserError: a run is done and has no score.
+        UserError: a run is done and has no score, or the runs do not belong together.
     """
     from rrmctl.reports.contests import decide
     from rrmctl.reports.select import read_sections
 
     sections = read_sections(layout.root, plan.experiment)
     (section,) = (each for each in sections if each.variant == plan.variant)
-    found = decide(section, trial, seeds=seeds)
+    found = decide(section.accepted(), trial, seeds=seeds)
     for each in found.open:
         if each.verdict.looks * trial.group < len(seeds):
             raise UserError(

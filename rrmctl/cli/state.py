@@ -12,6 +12,7 @@ import typer
 
 from rrmctl.cli.options import DEFAULT_RESULTS, ResultsOption
 from rrmctl.cli.progress import STATES, Group, errors, group_by_row, group_by_sweep, runs
+from rrmctl.commands import run_command
 from rrmctl.errors import UserError
 
 if TYPE_CHECKING:
@@ -257,15 +258,10 @@ def _last_rows(folder: RunFolder, count: int = 5) -> str:
 
 def rerun_command(layout: Layout, sweep: SweepRecord, job: Any) -> str:
     """The command that trains this run again."""
-    import shlex
-
-    words = ["rrmctl", "run", sweep.experiment, "--profile", sweep.profile]
-    for key, value in sweep.overrides.items():
-        words += ["--set", f"{key}={value if isinstance(value, str) else json.dumps(value)}"]
-    words += ["--tasks", job.task, "--methods", job.method, "--seeds", f"{job.seed},"]
-    if layout.root != DEFAULT_RESULTS:
-        words += ["--results", str(layout.root)]
-    return shlex.join([*words, "--force"])
+    return run_command(
+        sweep.experiment, sweep.profile, sweep.overrides, tasks=[job.task], methods=[job.method], seeds=[job.seed],
+        results=None if layout.root == DEFAULT_RESULTS else layout.root, force=True,
+    )  # fmt: skip
 
 
 def _console() -> Console:

@@ -14,7 +14,7 @@ from pydantic import BaseModel, TypeAdapter, ValidationError
 from pydantic.fields import FieldInfo
 
 from rrm.errors import RrmError
-from rrm.training.config import RunConfig
+from rrm.training.config import CONFIG_VERSION, RunConfig
 from rrmctl.errors import UserError, shown
 from rrmctl.planning.manifest import Settings, nearest
 from rrmctl.planning.profiles import Layer
@@ -192,6 +192,11 @@ def nested(flat: Mapping[str, Any]) -> Settings:
             at = at.setdefault(room, {})
         at[leaf] = value
     return tree
+
+
+def config_version() -> int:
+    """Of the configurations that this program trains."""
+    return CONFIG_VERSION
 
 
 def parse_assignments(assignments: Iterable[str]) -> dict[str, Any]:

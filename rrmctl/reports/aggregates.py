@@ -49,7 +49,7 @@ def write(layout: Layout, sections: Sequence[Section], settings: Settings = DEFA
     import pandas as pd
     import pyarrow as pa
 
-    mixed = {section.experiment for section in sections if section.mixed}
+    mixed = {section.experiment for section in sections if section.mixed or section.refusal}
     tables = [curve_table(section, settings) for section in sections if section.experiment not in mixed]
     curves = pd.concat(tables, ignore_index=True).groupby("experiment", sort=False) if tables else ()
     for experiment, rows in curves:

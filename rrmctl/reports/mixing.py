@@ -6,18 +6,24 @@ precisions are not averaged or compared, unless a reader asks for it; then every
 
 from __future__ import annotations
 
-import shlex
 from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from importlib import metadata
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
 
+from rrmctl.commands import run_command
 from rrmctl.errors import UserError
+from rrmctl.planning.settings import config_version
 from rrmctl.reports.series import NOTHING_ASKED, Label, Section
 from rrmctl.store.layout import Layout, RunFolder
 from rrmctl.store.provenance import made_with
 from rrmctl.store.reader import read_config
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 VERSION = "configuration version"
 PRECISION = "precision"
@@ -117,22 +123,68 @@ def remarks(section: Section, makings: Mapping[str, Making]) -> Iterator[str]:
         yield f"Methods differ in precision: {which}."
 
 
-def refuse(section: Section, mixed: Mixture, results: str) -> UserError:
-    """What to say where runs differ that should not."""
-    versions = mixed.get(VERSION)
-    if versions is not None:
-        newest = max(versions, key=int)
-        old = [made for value, runs in versions.items() if value != newest for made in runs]
-        command = _command(section, old, results)
-        way = f"`{command}` trains those of the older version anew, and they are then left out"
-    else:
-        fewest = min(next(iter(mixed.values())).values(), key=len)
-        way = f"`{_command(section, fewest, results)} --force` trains the fewer ones anew"
+def refuse(section: Section, mixed: Mixture, results: str | Path) -> UserError:
+    """What to say where runs differ that should not: training anew those that this environment would make otherwise."""
+    now = {fact: _now(fact) for fact in mixed}
+    stale = {
+        fact: [made for value, runs in values.items() if value != now[fact] for made in runs]
+        for fact, values in mixed.items()
+        if now[fact] is not None
+    }
+    commands = _commands(section, stale, results)
+    way = f"train anew what would be made otherwise now: `{'`, `'.join(commands)}`"
+    if not commands:
+        way = "which of them would be made now is not known before a run in another --results folder"
+    elif not set(stale) - {VERSION}:
+        way += "; the old runs are then left out"
     where = f"{section.experiment}, profile {section.profile}"
     return UserError(
         f"{where}: its runs do not belong in one report: {'. '.join(told(mixed))}",
         f"{way}; --allow-mixed reports them together and says so",
     )
+
+
+def configurations(label: Label, rows: pd.DataFrame) -> UserError | None:
+    """Why these rows of one series, all of one configuration version, cannot be averaged, if they cannot.
+
+    Args:
+        rows: as `rrmctl.store.load` returns them.
+    """
+    cells = rows.sort_values("seed").groupby("cell", sort=False)["seed"].unique()
+    if len(cells) < 2:
+        return None
+    which = "; ".join(f"{cell} (seeds {', '.join(map(str, seeds))})" for cell, seeds in cells.items())
+    return UserError(
+        f"{label}: its runs were made with {len(cells)} different configurations and cannot be averaged: {which}",
+        "a manifest or a default changed between two `rrmctl run`s; `rrmctl show RUN` tells the difference. "
+        "Run the experiment into a fresh --results folder",
+    )
+
+
+def _now(fact: str) -> str | None:
+    """What a run made now would have; None where only a run can tell."""
+    if fact == VERSION:
+        return str(config_version())
+    try:
+        return metadata.version(fact)
+    except metadata.PackageNotFoundError:
+        return None
+
+
+def _commands(section: Section, stale: Mapping[str, Sequence[Made]], results: str | Path) -> list[str]:
+    """What trains these runs anew and no other task, method or seed: a command for each task and set of seeds."""
+    seeds: dict[tuple[str, str], set[int]] = defaultdict(set)
+    for made in (made for runs in stale.values() for made in runs):
+        seeds[made.label.task, made.label.method].add(made.seed)
+    alike: dict[tuple[str, tuple[int, ...]], list[str]] = defaultdict(list)
+    for (task, method), found in seeds.items():
+        alike[task, tuple(sorted(found))].append(method)
+    force = bool(set(stale) - {VERSION})  # a run of another version is another run
+    asked = (section.experiment, section.profile, section.overrides)
+    return [
+        run_command(*asked, tasks=[task], methods=methods, seeds=numbers, results=results, force=force)
+        for (task, numbers), methods in alike.items()
+    ]
 
 
 def _runs(section: Section) -> Iterator[Made]:
@@ -150,15 +202,3 @@ def _which(runs: Sequence[Made]) -> str:
 
 def _name(label: Label) -> str:
     return " ".join([label.task, label.method, *(word for word in label[2:] if word != NOTHING_ASKED)])
-
-
-def _command(section: Section, runs: Sequence[Made], results: str) -> str:
-    """The sweep that covers these runs."""
-    words = ["rrmctl", "run", section.experiment, "--profile", section.profile]
-    for key, value in section.overrides.items():
-        words += ["--set", f"{key}={value}"]
-    for option, names in (("--tasks", (r.label.task for r in runs)), ("--methods", (r.label.method for r in runs))):
-        words += [option, ",".join(dict.fromkeys(names))]
-    seeds = sorted({made.seed for made in runs})
-    words += ["--seeds", ",".join(map(str, seeds)) + ("," if len(seeds) == 1 else "")]
-    return shlex.join([*words, "--results", results])

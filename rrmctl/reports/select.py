@@ -10,7 +10,7 @@ from __future__ import annotations
 import dataclasses
 import json
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -36,11 +36,13 @@ def read_sections(
 ) -> tuple[Section, ...]:
     """The sections of one experiment, or of all in the store, from the files below `results`.
 
+    A section whose runs do not belong together says so (`Section.refusal`), and is refused where it is chosen.
+
     Args:
         allow_mixed: take runs together that were made by different versions or precisions, and say so in the section.
 
     Raises:
-        UserError: no such results folder or experiment there, a damaged file, or runs that do not belong together.
+        UserError: no such results folder or experiment there, or a damaged file.
     """
     layout = open_results(results)
     known = layout.experiments()
@@ -55,13 +57,12 @@ def read_sections(
     begun = [run for run in jobs["run"] if layout.run(run).config.exists()]
     makings = mixing.read_makings(layout, list(dict.fromkeys([*rows["run"], *begun])))
     found = []
-    for each in sections(rows, jobs, makings=makings):
+    for each in _split(rows, jobs, None, makings):
         mixed = mixing.mixture(each, makings)
-        if mixed and not allow_mixed:
-            raise mixing.refuse(each, mixed, str(results))
+        refusal = mixing.refuse(each, mixed, results) if mixed and not allow_mixed else None
         trial = read_trial(layout, each.experiment, each.variant)
         marked = _marked(each, mixing.told(mixed), tuple(mixing.remarks(each, makings)))
-        found.append(dataclasses.replace(marked, trial=trial, source=layout))
+        found.append(dataclasses.replace(marked, refusal=each.refusal or refusal, trial=trial, source=layout))
     return tuple(found)
 
 
@@ -75,14 +76,14 @@ def of_profile(found: Sequence[Section], profile: str | None) -> tuple[Section, 
     """The sections of this profile that have a run to show; of all profiles for None.
 
     Raises:
-        UserError: there is none; the message says what is there instead.
+        UserError: there is none, the message says what is there instead; or the runs of one do not belong together.
     """
     present = sorted({each.profile for each in found})
     if profile is not None and profile not in present:
         raise UserError(
             f'no runs of profile "{profile}"{nearest(profile, present)}', f"there are runs of: {', '.join(present)}"
         )
-    chosen = [each for each in found if profile in (None, each.profile)]
+    chosen = [each.accepted() for each in found if profile in (None, each.profile)]
     if not any(each.contained for each in chosen):
         names = ", ".join(dict.fromkeys(each.experiment for each in chosen))
         states = Counter(absent.state for each in chosen for absent in each.absent)
@@ -112,15 +113,22 @@ def sections(
     Raises:
         UserError: one series holds runs of several configurations, or an unknown task.
     """
+    return tuple(each.accepted() for each in _split(rows, jobs, evaluation, makings or {}))
+
+
+def _split(
+    rows: pd.DataFrame,
+    jobs: pd.DataFrame | None,
+    evaluation: Mapping[str, Mapping[str, Any] | None] | None,
+    makings: Mapping[str, Making],
+) -> Iterator[Section]:
+    """The sections, with those among them whose runs do not belong together."""
     if jobs is None:
         jobs = rows.drop_duplicates(["experiment", "variant", *Label._fields, "run"]).assign(overrides="{}")
-    makings = makings or {}
     known = {cell: makings[run].config.get("evaluation") for cell, run in _distinct(rows, "cell", "run") if makings}
     versions = {run: made.version for run, made in makings.items()}
-    keys = dict.fromkeys(zip(jobs["experiment"], jobs["variant"], strict=True))
-    return tuple(
-        _section(_of_variant(rows, key), _of_variant(jobs, key), evaluation or known, versions) for key in keys
-    )
+    for key in dict.fromkeys(zip(jobs["experiment"], jobs["variant"], strict=True)):
+        yield _section(_of_variant(rows, key), _of_variant(jobs, key), evaluation or known, versions)
 
 
 def _of_variant(table: pd.DataFrame, key: tuple[str, str]) -> pd.DataFrame:
@@ -135,10 +143,11 @@ def _section(
     versions: Mapping[str, int],
 ) -> Section:
     problems: list[str] = []
+    refusals: list[UserError] = []
     series, absent, old = [], [], set[str]()
     for label in _ordered(Label(*row) for row in jobs[list(Label._fields)].itertuples(index=False)):
         asked = _labelled(jobs, label)
-        each = _series(label, _labelled(rows, label), versions, problems)
+        each = _series(label, _labelled(rows, label), versions, problems, refusals)
         replaced = _replaced(each, asked, versions)
         asked, old = asked[~asked["run"].isin(replaced)], old | replaced
         series.append(dataclasses.replace(each, planned=len(asked)))
@@ -162,6 +171,7 @@ def _section(
         planned=int(jobs["run"].nunique()) - len(old),
         evaluation=tuple(dict.fromkeys(protocols)),
         problems=tuple(problems),
+        refusal=next(iter(refusals), None),
     )
 
 
@@ -201,16 +211,24 @@ def _protocol(episodes: int, settings: Mapping[str, Any] | None) -> str:
     return f"{told}, {success[settings['success']]}, {policy}"
 
 
-def _series(label: Label, rows: pd.DataFrame, versions: Mapping[str, int], problems: list[str]) -> Series:
-    """The series of one label, as if its runs were all that was planned; adds to `problems` what was left out of it."""
+def _series(
+    label: Label, rows: pd.DataFrame, versions: Mapping[str, int], problems: list[str], refusals: list[UserError]
+) -> Series:
+    """The series of one label, as if its runs were all that was planned.
+
+    Adds to `problems` what was left out of it, and to `refusals` why its runs cannot be averaged; then it is empty.
+    """
     score = task(label.task).score
     done = rows[rows["state"] == "done"]
     used = done if len(done) else rows[rows["state"].isin(_UNDER_WAY)]
     age = used["run"].map(lambda run: versions.get(run, 0))
     newest = age.groupby(used["seed"]).transform("max")
     used = used[age == newest]
-    for _, alike in used.groupby(age[age == newest]):  # versions differ in their cells; whether they meet is mixing's
-        _one_cell(label, alike)
+    # Versions differ in their configurations; whether those meet is looked at when all series are known.
+    several = [why for _, alike in used.groupby(age[age == newest]) if (why := mixing.configurations(label, alike))]
+    if several:
+        refusals += several
+        used = used[:0]
     who = _distinct(used.sort_values("seed"), "seed", "run")
     steps, values = by_seed(used, SCORE_COLUMN[score])
     finite = np.isfinite(values).all(axis=0)
@@ -234,21 +252,3 @@ def _series(label: Label, rows: pd.DataFrame, versions: Mapping[str, int], probl
         finished=len(done) > 0,
         rows=used,
     )
-
-
-def _one_cell(label: Label, rows: pd.DataFrame) -> None:
-    """Refuse runs that differ in more than their seed.
-
-    Raises:
-        UserError: naming each configuration and its seeds.
-    """
-    cells: dict[str, list[int]] = {}
-    for cell, seed in _distinct(rows.sort_values("seed"), "cell", "seed"):
-        cells.setdefault(cell, []).append(int(seed))
-    if len(cells) > 1:
-        which = "; ".join(f"{cell} (seeds {', '.join(map(str, seeds))})" for cell, seeds in cells.items())
-        raise UserError(
-            f"{label}: its runs were made with {len(cells)} different configurations and cannot be averaged: {which}",
-            "a manifest or a default changed between two `rrmctl run`s; `rrmctl show RUN` tells the difference. "
-            "Run the experiment into a fresh --results folder",
-        )

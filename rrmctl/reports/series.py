@@ -139,8 +139,19 @@ class Section:
     problems: tuple[str, ...]  #: what had to be left out of a series, or was let in against the rule, and why
     mixed: tuple[str, ...] = ()  #: in what its runs differ and should not, where a reader allowed it
     remarks: tuple[str, ...] = ()  #: how its runs were made, as far as a reader must know
+    refusal: UserError | None = None  #: why its runs do not belong together, unless a reader allowed it
     trial: Trial | None = None  #: the rules of the sequential test that was begun on it
     source: Layout | None = None  #: the store it was read from, for what runs leave beside their curves
+
+    def accepted(self) -> Section:
+        """The section, where its runs belong together.
+
+        Raises:
+            UserError: they do not.
+        """
+        if self.refusal is not None:
+            raise self.refusal
+        return self
 
     @property
     def contained(self) -> int:

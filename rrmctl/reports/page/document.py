@@ -81,15 +81,15 @@ def _named(results: str | Path, experiments: Sequence[str]) -> list[str]:
 def _variants(results: str | Path, experiment: str, *, allow_mixed: bool) -> Iterator[Variant]:
     """The variants of an experiment, with what may be averaged of each or why nothing may."""
     runs, needed = inventory(results, experiment), inventory(results, experiment, needed=True)
-    sections: dict[str, Section] = {}
-    refused: UserError | None = None
+    shown: dict[str, Section | UserError] = {}
     try:
-        sections = {section.variant: section for section in read_sections(results, experiment, allow_mixed=allow_mixed)}
+        found = read_sections(results, experiment, allow_mixed=allow_mixed)
+        shown = {section.variant: section.refusal or section for section in found}
     except UserError as error:
-        refused = error
+        shown = dict.fromkeys((str(run.plan["variant"]) for run in runs), error)
     for variant in dict.fromkeys(str(run.plan["variant"]) for run in runs):
         own, others = (tuple(run for run in group if run.plan["variant"] == variant) for group in (runs, needed))
-        yield Variant(experiment, variant, own, others, refused or sections[variant])
+        yield Variant(experiment, variant, own, others, shown[variant])
 
 
 def _overview(variants: Sequence[Variant]) -> Html:

@@ -7,6 +7,7 @@ import shlex
 from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING
 
+from rrmctl.commands import run_command
 from rrmctl.reports.accounts import GROUP, common_settings, differing_settings, makings, spending, total
 from rrmctl.reports.page.html import Html, element, joined
 from rrmctl.reports.page.tables import Column, of_rows
@@ -142,9 +143,6 @@ def _commands(runs: Sequence[Run]) -> Html:
 
 def _whole_plan(runs: Sequence[Run]) -> str:
     plan = runs[0].plan
-    words = ["rrmctl", "run", plan["experiment"], "--profile", plan["profile"]]
-    for key, value in json.loads(plan["overrides"]).items():
-        words += ["--set", f"{key}={value if isinstance(value, str) else json.dumps(value)}"]
-    for option, column in (("--tasks", "task"), ("--methods", "method"), ("--seeds", "seed")):
-        words += [option, ",".join(dict.fromkeys(str(run.plan[column]) for run in runs)) + "," * (option == "--seeds")]
-    return shlex.join(words)
+    tasks, methods, seeds = ([run.plan[name] for run in runs] for name in ("task", "method", "seed"))
+    overrides = json.loads(plan["overrides"])
+    return run_command(plan["experiment"], plan["profile"], overrides, tasks=tasks, methods=methods, seeds=seeds)

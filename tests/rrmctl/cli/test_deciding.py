@@ -15,11 +15,13 @@ from typer.testing import Result
 from rrmctl.cli.request import Request
 from rrmctl.running.runfile import config_content
 from rrmctl.store import planned
+from rrmctl.store.atomic import write_json
 from rrmctl.store.layout import Layout
 from rrmctl.store.records import State, Status, record_config, write_status
 from rrmctl.store.trials import Pairing, Trial, begin_trial, read_trial
 from rrmctl.store.writer import CurveWriter
 from tests.rrmctl.cli.test_run import ERROR, EXPERIMENTS, PLAN, call, start
+from tests.rrmctl.reports.frames import Sweep
 from tests.rrmctl.running.standin import row
 
 METHODS = ["--methods", "oracle,pebble,rrm-sparse"]
@@ -72,6 +74,20 @@ def test_what_is_decided_runs_no_further_seeds(tmp_path: Path) -> None:
     assert "oracle against pebble: better, decided by the first 10 seeds" in last
     assert "rrm-sparse against pebble: not separated by 20 seeds" in last
     assert "rrm-sparse against pebble: open" in result.stdout.split("Look 2 of 4")[1].split("Look 3")[0]
+
+
+def test_another_variants_runs_are_no_matter(tmp_path: Path) -> None:
+    """Runs of another profile that do not belong together stop nothing; those of the test's own are refused."""
+    train(tmp_path)
+    Sweep(experiment="toy-car", tasks=("toy-car",), versions={("toy-car", "pebble", 0): 1}).write(tmp_path)
+    result = decide(tmp_path, "--max-seeds", "10")
+    assert result.exit_code == 0, result.output
+    own = planned(tmp_path, "toy-car").query("profile == 'smoke'")["run"]
+    for run, torch in zip(own, ("2.4.0", "2.6.0"), strict=False):
+        write_json(Layout(tmp_path).run(run).provenance, {"versions": {"torch": torch}, "resumed": []})
+    result = decide(tmp_path, "--max-seeds", "10")
+    assert result.exit_code == 2
+    assert "toy-car, profile smoke: its runs do not belong in one report" in result.stderr
 
 
 def test_it_stops_when_everything_is_decided(tmp_path: Path) -> None:

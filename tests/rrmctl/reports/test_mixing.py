@@ -1,12 +1,14 @@
 import json
+import shlex
 
 import pytest
 from typer.testing import CliRunner
 
 from rrmctl.cli.app import app
 from rrmctl.errors import UserError
+from rrmctl.reports import mixing
 from rrmctl.reports.render import FORMATS
-from rrmctl.reports.select import read_sections
+from rrmctl.reports.select import of_profile, read_sections
 from tests.rrmctl.reports.frames import RECORDED, RISING, Sweep
 
 SEEDS = [("button-press", "pebble", seed) for seed in range(5)]
@@ -15,6 +17,24 @@ TASK = "button-press"
 
 def rrmctl(*arguments):
     return CliRunner().invoke(app, [str(each) for each in arguments])
+
+
+def shown(root, profile=None):
+    return of_profile(read_sections(root), profile)
+
+
+@pytest.fixture
+def installed(monkeypatch):
+    """What a run made now would be made with, here as most runs of these stores."""
+    versions = {"rrmctl": "0.1.0", **RECORDED["versions"], "metaworld": "3.1.1", "mujoco": "3.3.0"}
+
+    def version(name):
+        if name not in versions:
+            raise mixing.metadata.PackageNotFoundError(name)
+        return versions[name]
+
+    monkeypatch.setattr(mixing.metadata, "version", version)
+    return versions
 
 
 def changed(**facts):
@@ -42,7 +62,7 @@ def test_configuration_versions_do_not_meet(tmp_path):
     with pytest.raises(
         UserError, match=r"configuration version is 1 in 5 runs \(button-press pebble .*2 in 10 runs"
     ) as found:
-        read_sections(tmp_path)
+        shown(tmp_path)
     command = "rrmctl run main-results --profile laptop --tasks button-press --methods pebble --seeds 0,1,2,3,4"
     assert command in str(found.value.hint)
     assert "--allow-mixed" in str(found.value.hint)
@@ -58,13 +78,63 @@ def test_configuration_versions_do_not_meet(tmp_path):
         (changed(resumed=[{"changes": {"versions.torch": ["2.6.0", "2.7.1"]}}]), "2.6.0, then 2.7.1 in 1 run"),
     ],
 )  # fmt: skip
-def test_packages_and_simulators_do_not_meet(tmp_path, recorded, words):
+def test_packages_and_simulators_do_not_meet(tmp_path, recorded, words, installed):
     """One run of another package, simulator or true reward is refused, and so is one resumed under another version."""
     Sweep(recorded={SEEDS[2]: recorded}).write(tmp_path)
     with pytest.raises(UserError, match=words) as found:
-        read_sections(tmp_path)
-    assert "--seeds 2, " in str(found.value.hint)
-    assert "--force" in str(found.value.hint)
+        shown(tmp_path)
+    again = f"--tasks button-press --methods pebble --seeds 2, --results {tmp_path} --force`"
+    assert (again in str(found.value.hint)) == ("true reward" not in words)  # that of now is not known without a run
+
+
+def test_runs_of_the_installed_version_are_left_alone(tmp_path, installed):
+    """Ten of another torch, five of the one that is installed: the ten are trained anew, though they are more."""
+    installed["torch"] = "2.7.1"
+    Sweep(recorded=dict.fromkeys(SEEDS, changed(versions={"rrmctl": "0.1.0", "torch": "2.7.1"}))).write(tmp_path)
+    with pytest.raises(UserError) as found:
+        shown(tmp_path)
+    assert "--tasks button-press --methods oracle,rrm-proxy --seeds 0,1,2,3,4 " in str(found.value.hint)
+    assert "pebble" not in str(found.value.hint)
+
+
+def test_no_other_run_is_trained_anew(tmp_path, installed):
+    """A command for each task and set of seeds: no product of all tasks, methods and seeds that are named."""
+    old = changed(versions={"rrmctl": "0.1.0", "torch": "2.4.0"})
+    keys = [(TASK, "pebble", 3), ("door-open", "oracle", 1), ("door-open", "rrm-proxy", 1)]
+    overrides = {"agent.batch": 64, "precision": "bfloat16", "trace": True}
+    sweep = Sweep(tasks=(TASK, "door-open"), recorded=dict.fromkeys(keys, old), overrides=overrides)
+    sweep.write(tmp_path)
+    with pytest.raises(UserError) as found:
+        shown(tmp_path)
+    commands = [shlex.split(each) for each in str(found.value.hint).split("`")[1::2]]
+    start = ["rrmctl", "run", "main-results", "--profile", "laptop"]
+    start += ["--set", "agent.batch=64", "--set", "precision=bfloat16", "--set", "trace=true"]
+    assert commands == [
+        [*start, "--tasks", task, "--methods", methods, "--seeds", seeds, "--results", str(tmp_path), "--force"]
+        for task, methods, seeds in ((TASK, "pebble", "3,"), ("door-open", "oracle,rrm-proxy", "1,"))
+    ]
+
+
+def test_one_variant_refuses_no_other(tmp_path):
+    """Mixed runs of one profile are refused where they are asked for; the other profile is reported."""
+    Sweep(versions=old("pebble", 0, 1)).write(tmp_path)
+    Sweep(profile="paper", variant="paper").write(tmp_path)
+    assert [each.profile for each in shown(tmp_path, "paper")] == ["paper"]
+    for profile in ("laptop", None):
+        with pytest.raises(UserError, match="main-results, profile laptop: its runs do not belong"):
+            shown(tmp_path, profile)
+    made = rrmctl("report", "iqm", "--results", tmp_path, "--profile", "paper", "--replicates", 100)
+    assert made.exit_code == 0
+    assert "not kept" in made.stderr  # the file is of all variants
+
+
+def test_a_variant_of_several_configurations_refuses_no_other(tmp_path):
+    """The same where runs of one series differ in more than their seed, which no option allows."""
+    Sweep(cells={SEEDS[3]: "feedfeedfeedfeed"}).write(tmp_path)
+    Sweep(profile="paper", variant="paper").write(tmp_path)
+    assert len(shown(tmp_path, "paper")) == 1
+    with pytest.raises(UserError, match="2 different configurations"):
+        of_profile(read_sections(tmp_path, allow_mixed=True), "laptop")
 
 
 def test_a_methods_precision_is_its_own_but_one(tmp_path):
@@ -74,7 +144,7 @@ def test_a_methods_precision_is_its_own_but_one(tmp_path):
     assert section.remarks == ("Methods differ in precision: bfloat16: pebble; float32: oracle, rrm-proxy.",)
     Sweep(precisions={SEEDS[0]: "bfloat16"}).write(tmp_path / "seeds")
     with pytest.raises(UserError, match=r"precision of pebble is bfloat16 in 1 run .*float32 in 4 runs"):
-        read_sections(tmp_path / "seeds")
+        shown(tmp_path / "seeds")
 
 
 def test_environments_differ_by_task(tmp_path):
@@ -152,7 +222,7 @@ def test_half_a_new_sweep_is_a_mixture(tmp_path):
     Sweep(versions={(TASK, m, s): 1 for m in RISING for s in range(5)}).write(tmp_path)
     Sweep(curves={"pebble": RISING["pebble"][:2]}).write(tmp_path)
     with pytest.raises(UserError, match=r"configuration version is 1 in 13 runs .* 2 in 2 runs"):
-        read_sections(tmp_path)
+        shown(tmp_path)
     (section,) = read_sections(tmp_path, allow_mixed=True)
     assert by_method(section)["pebble"].seeds == (0, 1, 2, 3, 4)
     assert (section.planned, section.contained) == (15, 15)

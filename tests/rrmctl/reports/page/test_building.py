@@ -286,6 +286,17 @@ def test_tables_stand_where_they_belong(tmp_path, monkeypatch):
     assert found.refused == {second: {"choosy": "no toys"}, SEVERAL: {"none": "nothing at all"}}
 
 
+def test_each_variant_has_its_own_reason(tmp_path):
+    """Mixed runs of one profile are listed with the reason in their chapter; the other's tables are there."""
+    Sweep(versions={(TASK, "pebble", seed): 1 for seed in range(5)}).write(tmp_path)
+    Sweep(profile="paper", variant="paper").write(tmp_path)
+    assert page("--results", tmp_path, "-o", tmp_path / "page.html", "--replicates", 100).exit_code == 0
+    text = (tmp_path / "page.html").read_text()
+    assert text.count("Its runs cannot be shown together") == 1
+    assert 'id="main-results-paper-iqm"' in text
+    assert 'id="main-results-laptop-iqm"' not in text
+
+
 def test_mixed_versions_are_shown_when_asked_for(tmp_path):
     """Runs of two configuration versions are listed with the reason; `--allow-mixed` shows them together, marked."""
     Sweep(versions={(TASK, "pebble", seed): 1 for seed in range(5)}).write(tmp_path)
