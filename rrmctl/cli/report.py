@@ -179,13 +179,19 @@ def plot(
     settings = Settings(kind=kind.value, replicates=replicates, width=width.value)
     found = read_sections(results, _stem(name), allow_mixed=allow_mixed)
     for section in _with_runs(of_profile(found, profile)):
+        where = f"{section.experiment}, profile {section.profile}"
         for figure, module in drawn.items():
             if not module.suits(section):
                 if wanted:
-                    where = f"{section.experiment}, profile {section.profile}"
                     typer.echo(f"note: {where}: nothing to draw in the figure {figure}", err=True)
                 continue
-            made = module.draw(section, settings)
+            try:
+                made = module.draw(section, settings)
+            except UserError as error:
+                if wanted:
+                    raise
+                typer.echo(f"note: {where}: the figure {figure} was not drawn: {error}", err=True)
+                continue
             for suffix in forms or Drawing:
                 path = (output or results / "figures") / f"{_figure_name(section, figure, width)}.{suffix}"
                 _write(path, encode(made, suffix.value))

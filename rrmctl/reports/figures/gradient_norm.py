@@ -5,7 +5,8 @@ Drawn of runs that left `gradients.parquet`: of the method `finetune` and those 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -70,7 +71,7 @@ def gradient_norms(
 def _draw(section: Section, gradients: pd.DataFrame, settings: Settings) -> Figure:
     told = set(gradients["run"])
     panels = section.panels()
-    shown = {panel: [each for each in panel.present() if told.issuperset(each.runs)] for panel in panels}
+    shown = {panel: [_only(each, told) for each in panel.present() if told.intersection(each.runs)] for panel in panels}
     if not any(shown.values()):
         raise nothing(section, "no norms of gradients")
     return cells_sheet(
@@ -85,10 +86,26 @@ def _draw(section: Section, gradients: pd.DataFrame, settings: Settings) -> Figu
         notes=[
             f"Median over the gradient steps in each {_BINS}th of the run, then the interquartile mean over seeds "
             f"({settings.kind}). Band: 25 to 75 % of the seeds. Grey: where the loss changes.",
-            f"Norms of {len(told)} runs.",
+            *_counted(section, told),
             *contents(section),
         ],
     )
+
+
+def _only(series: Series, told: set[str]) -> Series:
+    """The series of those of its runs that left norms."""
+    left = [at for at, run in enumerate(series.runs) if run in told]
+    seeds, runs = tuple(series.seeds[at] for at in left), tuple(series.runs[at] for at in left)
+    return replace(series, values=series.values[left], seeds=seeds, runs=runs)
+
+
+def _counted(section: Section, told: set[str]) -> Iterator[str]:
+    """How many runs left norms, and which did not though others of their series did."""
+    yield f"Norms of {len(told.intersection(run for each in section.series for run in each.runs))} runs."
+    for each in section.series:
+        lacking = [f"{run} (seed {seed})" for seed, run in zip(each.seeds, each.runs, strict=True) if run not in told]
+        if 0 < len(lacking) < each.n:
+            yield f"No norms of {each.label}: {', '.join(lacking)}."
 
 
 def _cell(name: str, shown: Sequence[Series], gradients: pd.DataFrame, kind: IqmKind) -> Cell:

@@ -7,6 +7,8 @@ import pytest
 from typer.testing import CliRunner
 
 from rrmctl.cli.app import app
+from rrmctl.store.layout import Layout
+from tests.rrmctl.reports import scenes
 from tests.rrmctl.reports.frames import RISING, Sweep
 
 
@@ -127,6 +129,20 @@ def test_a_figure_that_does_not_suit_is_named(results):
     unknown = rrmctl("plot", "main-results", "--results", results, "--figure", "boxes")
     assert unknown.exit_code == 2
     assert 'did you mean "box"' in unknown.stderr
+
+
+def test_a_figure_that_cannot_be_drawn_keeps_no_other_back(tmp_path):
+    """A damaged file costs its own figure, which is said; asked for by name it is an error."""
+    sweep = scenes.finetune()
+    sweep.write(tmp_path)
+    folder = Layout(tmp_path).run(sweep.jobs()["run"].iloc[0])
+    folder.gradients.write_bytes(b"no parquet")
+    options = ("finetune", "--results", tmp_path, "--format", "svg", "--replicates", 100)
+    drawn = rrmctl("plot", *options)
+    assert drawn.exit_code == 0
+    assert "note: finetune, profile laptop: the figure gradient-norm was not drawn: " in drawn.stderr
+    assert "profile.svg" in drawn.stdout.replace("\n", "")
+    assert rrmctl("plot", *options, "--figure", "gradient-norm").exit_code == 2
 
 
 def test_figures_of_variants_do_not_overwrite_one_another(results, tmp_path):

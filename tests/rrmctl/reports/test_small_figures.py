@@ -158,6 +158,20 @@ def test_gradients_are_medians_before_and_after_the_change():
     assert "Norms of 10 runs." in words(figure)
 
 
+def test_runs_without_norms_cost_no_other_its_place():
+    """A series is drawn of its runs that left norms, and the others are named."""
+    rows, jobs = scenes.finetune().frames()
+    norms = scenes.gradients(jobs)
+    run = jobs.query("method == 'finetune' and seed == 4")["run"].item()
+    figure = gradient_norms(rows, norms[norms["run"] != run], jobs)
+    (axes,) = panels(figure)
+    first, _ = lines(axes, "finetune")
+    assert set(np.round(first.get_ydata(), 9)) == {2.5}  # of 1 to 4
+    assert legend(figure) == ["finetune (n = 4)", "finetune-tanh (n = 5)"]
+    assert "Norms of 9 runs." in words(figure)
+    assert f"No norms of button-press, finetune (oracle, 50@5000/5000): {run} (seed 4)." in words(figure)
+
+
 def test_gradients_are_read_from_the_store(tmp_path):
     """`gradients.parquet` beside the curves makes the figure appear; a damaged one is named."""
     sweep = scenes.finetune()
