@@ -92,7 +92,8 @@ def _markdown(reports: Sequence[Report]) -> str:
         body = _cells(grid, grid.rows, _cell, "**{}**")
         lines = ["| " + " | ".join(row) + " |" for row in (map(_cell, grid.header), rule, *body)]
         notes = [f"- {_escape(note, '*_')}" for note in report.notes]
-        parts.append("\n".join([f"### {_escape(report.title, '*_')}", "", *lines, "", *notes]))
+        table = [*lines, ""] if grid.rows else []
+        parts.append("\n".join([f"### {_escape(report.title, '*_')}", "", *table, *notes]))
     return "\n\n".join(parts) + "\n"
 
 
@@ -189,7 +190,10 @@ def _tex(text: str) -> str:
 
 
 def _csv(reports: Sequence[Report]) -> str:
-    """All reports in one table; what belongs to a whole report is repeated in each of its rows."""
+    """All reports in one table; what belongs to a whole report is repeated in each of its rows.
+
+    A report of words alone has one row, of these.
+    """
     import pandas as pd
 
     plain = ("experiment", "profile", "variant")
@@ -197,7 +201,8 @@ def _csv(reports: Sequence[Report]) -> str:
     for report in reports:
         facts = {key: value if _is_plain(value) else json.dumps(value) for key, value in report.facts.items()}
         rest = {key: value for key, value in facts.items() if key not in plain}
-        table = report.table.assign(**facts, schema_version=TEXT_VERSION)
+        rows = report.table if len(report.table.columns) else pd.DataFrame(index=[0])
+        table = rows.assign(**facts, schema_version=TEXT_VERSION)
         tables.append(table[[*plain, *report.table.columns, *rest, "schema_version"]])
     text: str = pd.concat(tables, ignore_index=True).to_csv(index=False, lineterminator="\n")
     return text

@@ -53,4 +53,6 @@ def _words(section: Section, settings: Settings, problem: str) -> Report:
     """What is said in place of a table that cannot be made."""
     import pandas as pd
 
-    return Report(title_of(section), pd.DataFrame(), Grid((), ()), (problem,), facts(section, settings))
+    known = facts(section, settings)
+    known["problems"] = [*known["problems"], problem]
+    return Report(title_of(section), pd.DataFrame(), Grid((), ()), (problem,), known)
