@@ -180,6 +180,12 @@ def by_seed(rows: pd.DataFrame, column: str) -> tuple[Steps, Floats]:
     return matrix.columns.to_numpy(dtype=np.int64), matrix.to_numpy(dtype=np.float64)
 
 
+def finite(steps: Steps, values: Floats) -> tuple[Steps, Floats]:
+    """The steps at which every seed has a number: nothing agrees with a reward before it has learned."""
+    known = np.isfinite(values).all(axis=0)
+    return steps[known], values[:, known]
+
+
 def at_steps(series: Series, steps: Steps) -> Floats:
     """The series' values at these of its steps, [S, len(steps)]."""
     return series.values[:, np.searchsorted(series.steps, steps)]

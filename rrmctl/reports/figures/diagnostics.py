@@ -9,11 +9,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from rrmctl.reports.marks import band, contents, handle, iqm_notes, line, panel_name, score_axis, step_axis
 from rrmctl.reports.notebook import from_frames, nothing
-from rrmctl.reports.series import ORACLE, Floats, Panel, Section, Series, Steps
+from rrmctl.reports.series import ORACLE, Panel, Section, Series, finite
 from rrmctl.reports.settings import DEFAULTS, Settings
 from rrmctl.reports.sheet import Cell, cells_sheet
 from rrmctl.reports.styles import ALONE, Style, parts, style
@@ -116,12 +114,6 @@ def _cells(series: Series, panel: Panel, panels: Sequence[Panel], kind: IqmKind)
         cell("True reward a step", ("true_reward_mean",)),
         cell("Agreement (%)", ("label_accuracy", "true_accuracy"), 100),
     ]
-
-
-def finite(steps: Steps, values: Floats) -> tuple[Steps, Floats]:
-    """The steps at which every seed has a number: nothing agrees with a reward before it has learned."""
-    known = np.isfinite(values).all(axis=0)
-    return steps[known], values[:, known]
 
 
 diagnostics = from_frames(draw)

@@ -18,12 +18,14 @@ from rrmctl.reports import published
 from rrmctl.reports.document import NOTHING, Grid, NoDataError, Report, highest, interval, number
 from rrmctl.reports.published import Checkpoint
 from rrmctl.reports.scores import score
-from rrmctl.reports.series import SCORE_COLUMN, Section, Series, knows
+from rrmctl.reports.series import SCORE_COLUMN, Section, Series, finite, knows
 from rrmctl.reports.settings import DEFAULTS, Settings
 from rrmctl.reports.words import BEST_NOTE, contents_notes, facts, statistics_notes, title
 
 if TYPE_CHECKING:
     import pandas as pd
+
+    from rrmctl.reports.series import Steps
 
 EXPERIMENT = "sim-to-real"
 
@@ -71,8 +73,8 @@ def _rows(series: Series, checkpoint: Checkpoint, profile: str, settings: Settin
             **series.label._asdict(), "score": name, "paper_step": checkpoint.step, "n": 0, "planned": series.planned,
             "published": told[name],
         }  # fmt: skip
-        steps, values = series.measure(column) if series.n else (np.zeros(0, np.int64), np.zeros((0, 0)))
-        at = _position(steps, checkpoint, profile, finished=series.finished)
+        steps, values = finite(*series.measure(column)) if series.n else (np.zeros(0, np.int64), np.zeros((0, 0)))
+        at = _position(steps, _wanted(series, checkpoint, profile))
         if at is not None:
             found = score([values[:, [at]]], settings).estimate()
             row |= {"step": int(steps[at]), "iqm": float(found.estimate), "n": series.n}
@@ -80,18 +82,19 @@ def _rows(series: Series, checkpoint: Checkpoint, profile: str, settings: Settin
         yield row
 
 
-def _position(
-    steps: np.typing.NDArray[np.int64], checkpoint: Checkpoint, profile: str, *, finished: bool
-) -> int | None:
-    """Which evaluation stands for a checkpoint; None where there is none yet."""
+def _wanted(series: Series, checkpoint: Checkpoint, profile: str) -> int | None:
+    """The step at which a checkpoint is due; None where it is not known how long a shorter training is going to be."""
     if profile == PAPER:
-        wanted = checkpoint.step
-    elif finished:
-        wanted = round(checkpoint.share * int(steps[-1]))
-    else:
-        return None  # how long it is going to be is not known here
+        return checkpoint.step
+    return round(checkpoint.share * int(series.rows["step"].max())) if series.finished and series.n else None
+
+
+def _position(steps: Steps, wanted: int | None) -> int | None:
+    """Which evaluation stands for a checkpoint; None where there is none yet."""
+    if wanted is None or not steps.size or steps[-1] < wanted:
+        return None
     reached = np.flatnonzero(steps <= wanted)
-    return int(reached[-1]) if reached.size and steps[-1] >= wanted else None
+    return int(reached[-1]) if reached.size else None
 
 
 def _report(section: Section, found: pd.DataFrame, settings: Settings) -> Report:

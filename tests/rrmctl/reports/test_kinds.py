@@ -13,7 +13,7 @@ from rrmctl.reports import published
 from rrmctl.reports.document import NoDataError
 from rrmctl.reports.kinds import all as everything
 from rrmctl.reports.kinds import claims, final, iqm, less_feedback, noisy_teacher, sim_to_real
-from rrmctl.reports.render import to_text
+from rrmctl.reports.render import FORMATS, to_text
 from rrmctl.reports.settings import Settings
 from tests.rrmctl.reports.stores import FULL, curve, section
 
@@ -244,6 +244,19 @@ def test_checkpoints_that_are_not_reached_are_left_open(robot):
     assert push["iqm"].isna().tolist() == [False, True, True]
 
 
+def test_evaluations_that_are_not_a_number_are_passed_over(robot):
+    """A checkpoint is read at the evaluation before; runs without any number leave theirs open, in every profile."""
+    label, whole = ("panda-push", "pebble", "oracle", FULL), [200_000 * (at + 1) for at in range(5)]
+    values = curve(0.1, 0.2, 0.3, 0.4, 0.5)
+    values[0, 2] = np.nan
+    steps = [each // 5 for each in whole]
+    found = section("sim-to-real", {label: {"success": values, "true_return": values}}, steps=steps, profile="laptop")
+    assert list(sim_to_real.table(found, QUICK).query("score == 'success'")["step"]) == [80_000, 80_000, 160_000]
+    for profile in ("laptop", "paper"):
+        nothing = section("sim-to-real", {label: np.full((5, 5), np.nan)}, steps=whole, profile=profile)
+        assert list(sim_to_real.table(nothing, QUICK)["n"]) == [0] * 6
+
+
 def test_the_robots_grid_has_both_scores(robot):
     """Success and return stand beside one another with the paper's value and the difference; n is in every row."""
     (report,) = sim_to_real.make([deployed()], QUICK)
@@ -315,7 +328,12 @@ def test_a_section_that_cannot_be_compared_keeps_no_other_back():
     made = [report for report in everything.make([apart, little()], QUICK) if report.facts["table"] == "final"]
     assert "no evaluation step is common" in made[0].notes[0]
     assert len(made[1].table) == 8
-    assert "no evaluation step is common" in to_text(made, "latex")
+    for form in FORMATS:
+        assert "no evaluation step is common" in " ".join(to_text(made, form).split()), form
+    assert "|  |" not in to_text(made, "markdown")
+    rows = pd.read_csv(io.StringIO(to_text(made, "csv")))
+    assert len(rows) == 9
+    assert rows["problems"].str.contains("no evaluation step is common").sum() == 1
 
 
 GOLDEN = Path(__file__).with_name("golden")
