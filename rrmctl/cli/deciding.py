@@ -24,9 +24,6 @@ if TYPE_CHECKING:
 #: Runs the jobs of a plan that are not done, and says how that ended.
 Execute = Callable[["Plan"], tuple[Exit, "SweepRecord"]]
 
-_ALPHA = 0.05
-_GROUP = 5
-
 
 @dataclass(frozen=True)
 class Rules:
@@ -54,7 +51,9 @@ def asked_rules(until: bool, most: int | None, group: int | None, against: str |
         return None
     if most is None or other:
         raise UserError("--until-decided takes --max-seeds N, and neither --seeds nor --force")
-    size = group or _GROUP
+    from rrmctl.stats import Design
+
+    size = group or Design().group
     if most % size:
         fitting = [str(each) for each in (most // size * size, (most // size + 1) * size) if each]
         raise UserError(
@@ -105,11 +104,12 @@ def until_decided(layout: Layout, plan: Plan, rules: Rules, execute: Execute) ->
 def _trial(plan: Plan, rules: Rules) -> Trial:
     from rrmctl.reports.contests import against
     from rrmctl.reports.series import Label
+    from rrmctl.stats import Design
     from rrmctl.store.trials import Trial
 
     labels = (Label(job.task, job.method, job.teacher, job.feedback) for job in plan.jobs)
     pairs = tuple(against(labels, rules.against))
-    return Trial(group=rules.group, looks=rules.most // rules.group, alpha=_ALPHA, pairs=pairs)
+    return Trial(group=rules.group, looks=rules.most // rules.group, alpha=Design().alpha, pairs=pairs)
 
 
 def _part(plan: Plan, seeds: Iterable[int], pairs: Iterable[Pairing]) -> Plan:

@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 from rrmctl.errors import UserError
 from rrmctl.reports.series import knows
+from rrmctl.reports.settings import SURE
+from rrmctl.stats import MIN_RUNS
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -18,6 +20,8 @@ if TYPE_CHECKING:
 
 #: Stands where there is nothing to say.
 NOTHING = "–"
+#: Heading of the intervals of the estimates beside them.
+INTERVAL = f"{SURE} interval"
 
 #: Row and column.
 Cell = tuple[int, int]
@@ -128,8 +132,14 @@ def spread(low: float, high: float, score: Score, form: str = "[{}, {}]") -> str
 
 
 def interval(low: float, high: float, score: Score, n: int) -> str:
-    """An interval as [low, high], or why there is none."""
-    return "n < 3" if n > 0 and math.isnan(low) else spread(low, high, score)
+    """An interval as [low, high], or why there is none.
+
+    Args:
+        n: runs behind it; of several tasks in all, each of which needs as many as one.
+    """
+    if n > 0 and math.isnan(low):
+        return f"n < {MIN_RUNS}" + (" on a task" if n >= MIN_RUNS else "")
+    return spread(low, high, score)
 
 
 def plus_minus(value: float, half: float, score: Score) -> str:

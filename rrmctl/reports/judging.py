@@ -23,7 +23,7 @@ from rrmctl.reports.claims import Arm, Budget, Claim, Reading, Test
 from rrmctl.reports.scores import Score, score
 from rrmctl.reports.series import NOTHING_ASKED, Floats, Section, Series, Steps
 from rrmctl.reports.settings import LEVEL, Settings
-from rrmctl.stats import Estimate
+from rrmctl.stats import MIN_RUNS, Estimate
 
 Verdict = Literal["held", "not held", "not enough data"]
 
@@ -89,7 +89,9 @@ def _finding(
     if section.profile in _UNJUDGED:
         return Finding(test, names, unit, held, "not enough data", math.nan, f"profile {section.profile} is no result")
     if found.draws is None:
-        return Finding(test, names, unit, held, "not enough data", math.nan, f"{found.n} seeds; an interval needs 3")
+        return Finding(
+            test, names, unit, held, "not enough data", math.nan, f"{found.n} seeds; an interval needs {MIN_RUNS}"
+        )
     sides = _settled(test, held), _settled(test, refuted)
     verdict: Verdict = "held" if sides[0] is True else "not held" if sides[1] is False else "not enough data"
     why = "" if verdict != "not enough data" else "the interval allows both"

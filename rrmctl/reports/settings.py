@@ -10,6 +10,8 @@ from rrmctl.stats import REPLICATES, IqmKind
 #: Every interval is drawn from a generator of its own with this seed, so that a table depends on its runs alone.
 BOOTSTRAP_SEED = 0
 LEVEL = 0.95
+#: As people read it.
+SURE = f"{100 * LEVEL:g} %"
 
 #: Of a figure: as wide as one column of a two-column paper, or at most as wide as its page.
 Width = Literal["column", "page"]

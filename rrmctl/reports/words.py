@@ -8,7 +8,8 @@ from collections.abc import Iterator, Sequence
 from typing import Any
 
 from rrmctl.reports.series import NOTHING_ASKED, Label, Section
-from rrmctl.reports.settings import BOOTSTRAP_SEED, LEVEL, Settings
+from rrmctl.reports.settings import BOOTSTRAP_SEED, SURE, Settings
+from rrmctl.stats import MIN_RUNS
 
 #: Of tables that set the best method in bold.
 BEST_NOTE = "Bold: the highest of the methods but the oracle; where intervals overlap, that may be chance."
@@ -22,7 +23,7 @@ def facts(section: Section, settings: Settings) -> dict[str, Any]:
         "variant": section.variant,
         "overrides": dict(section.overrides),
         "iqm_kind": settings.kind,
-        "interval": f"{100 * LEVEL:g} % percentile bootstrap over seeds, stratified by task",
+        "interval": f"{SURE} percentile bootstrap over seeds, stratified by task",
         "replicates": settings.replicates,
         "bootstrap_seed": BOOTSTRAP_SEED,
         "evaluation": list(section.evaluation),
@@ -144,8 +145,8 @@ def statistics_notes(section: Section, settings: Settings) -> Iterator[str]:
     """How the numbers were made: the mean, its interval and what that is worth, and the protocol of an evaluation."""
     yield f"IQM: {_KIND_IN_WORDS[settings.kind]}, of one number per seed; its episodes are averaged first."
     yield (
-        f"Interval: {100 * LEVEL:g} % percentile bootstrap over seeds with tasks as strata, {settings.replicates:,} "
-        f"replicates, generator seed {BOOTSTRAP_SEED}; none below 3 seeds.{_coverage(section)} "
+        f"Interval: {SURE} percentile bootstrap over seeds with tasks as strata, {settings.replicates:,} "
+        f"replicates, generator seed {BOOTSTRAP_SEED}; none below {MIN_RUNS} seeds.{_coverage(section)} "
         "The 25-75 % range is the spread of the seeds, not an interval."
     )
     for protocol in section.evaluation:

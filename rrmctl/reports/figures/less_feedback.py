@@ -18,7 +18,7 @@ from rrmctl.reports.marks import UNITS, contents, methods, score_axis, told
 from rrmctl.reports.notebook import from_frames, nothing
 from rrmctl.reports.scores import read_together, score
 from rrmctl.reports.series import NOTHING_ASKED, Floats, Section, Series
-from rrmctl.reports.settings import DEFAULTS, LEVEL, Settings
+from rrmctl.reports.settings import DEFAULTS, SURE, Settings
 from rrmctl.reports.sheet import Cell, cells_sheet
 from rrmctl.reports.styles import Style, style
 from rrmctl.reports.tables import ALL_TASKS
@@ -64,7 +64,7 @@ def draw(section: Section, settings: Settings = DEFAULTS) -> Figure:
         handles=methods(series for each in found for series in each.series.values()),
         notes=[
             f"Points: mean over the evaluation steps of the interquartile mean over seeds ({settings.kind}), with its "
-            f"{100 * LEVEL:g} % bootstrap interval. Small and hollow: the interquartile mean at the last step.",
+            f"{SURE} bootstrap interval. Small and hollow: the interquartile mean at the last step.",
             *([f"{ALL_TASKS}: mean over the tasks, each resampled on its own."] if means else []),
             *(f"Not drawn: {why}." for why in apart),
             *contents(section),

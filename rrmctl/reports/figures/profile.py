@@ -15,7 +15,7 @@ from rrmctl.reports.marks import UNITS, contents, handle, line, score_axis
 from rrmctl.reports.notebook import from_frames, nothing
 from rrmctl.reports.readings import Reading, last_step, readings
 from rrmctl.reports.series import Section
-from rrmctl.reports.settings import BOOTSTRAP_SEED, DEFAULTS, LEVEL, Settings
+from rrmctl.reports.settings import BOOTSTRAP_SEED, DEFAULTS, LEVEL, SURE, Settings
 from rrmctl.reports.sheet import Cell, cells_sheet
 from rrmctl.reports.styles import style
 from rrmctl.reports.words import title
@@ -51,7 +51,7 @@ def draw(section: Section, settings: Settings = DEFAULTS) -> Figure:
         handles=[handle(style(method), f"{method} ({_counts(method, cells)})") for method in names],
         notes=[
             "Line: share of the runs whose score at the last step is higher. "
-            f"Band: {100 * LEVEL:g} % at each score by itself, bootstrap over seeds, stratified by task.",
+            f"Band: {SURE} at each score by itself, bootstrap over seeds, stratified by task.",
             *contents(section),
         ],
     )

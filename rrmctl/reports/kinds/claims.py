@@ -11,11 +11,11 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
-from rrmctl.reports.document import Grid, NoDataError, Report, interval, number
+from rrmctl.reports.document import INTERVAL, Grid, NoDataError, Report, interval, number
 from rrmctl.reports.judging import Judgement, at_profile, judge
 from rrmctl.reports.prose import CLAIMS
 from rrmctl.reports.series import Section
-from rrmctl.reports.settings import DEFAULTS, Settings
+from rrmctl.reports.settings import DEFAULTS, LEVEL, Settings
 from rrmctl.reports.words import contents_notes, merged_facts, statistics_notes, title
 
 if TYPE_CHECKING:
@@ -103,7 +103,7 @@ def _grid(found: pd.DataFrame) -> Grid:
         "Verdict": [row["verdict"] for row in rows],
         "Rests on": [_comparison(row) for row in rows],
         "Found": [number(row["found"], row["unit"]) for row in rows],
-        "95 % interval": [interval(row["low"], row["high"], row["unit"], row["n"]) for row in rows],
+        INTERVAL: [interval(row["low"], row["high"], row["unit"], row["n"]) for row in rows],
         "n": [str(row["n"]) for row in rows],
     }
     return Grid.of(columns, words=4)
@@ -122,7 +122,7 @@ def _notes(sections: Sequence[Section], found: pd.DataFrame, settings: Settings)
         yield from (f"{section.experiment}: {note}" for note in contents_notes(section))
     yield (
         "Held: all comparisons of the claim have their whole interval on its side. Not held: one has all of it on the "
-        "other side, at a level of 1 - 0.05 / the claim's comparisons. Shown: the comparison that decides."
+        f"other side, at a level of 1 - {1 - LEVEL:.2g} / the claim's comparisons. Shown: the comparison that decides."
     )
     yield '"Reaches" and "near" are taken within 5 points. n: the fewest seeds of a method and task.'
     yield from dict.fromkeys(note for section in sections for note in statistics_notes(section, settings))

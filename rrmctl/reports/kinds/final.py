@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
-from rrmctl.reports.document import Grid, Report, best_methods, interval, number, place_columns, spread
+from rrmctl.reports.document import INTERVAL, Grid, Report, best_methods, interval, number, place_columns, spread
 from rrmctl.reports.scores import at, score
 from rrmctl.reports.series import Panel, Section
 from rrmctl.reports.settings import DEFAULTS, Settings
@@ -64,7 +64,7 @@ def _report(section: Section, settings: Settings) -> Report:
     words = len(columns)
     columns["Step"] = [f"{row['step']:,}" for row in rows]
     columns["Final"] = [number(row["iqm"], row["score"]) for row in rows]
-    columns["95 % interval"] = [interval(row["low"], row["high"], row["score"], row["n"]) for row in rows]
+    columns[INTERVAL] = [interval(row["low"], row["high"], row["score"], row["n"]) for row in rows]
     columns["25-75 %"] = [spread(row["q25"], row["q75"], row["score"], "{}..{}") for row in rows]
     columns["n"] = [f"{row['n']}/{row['planned']}" for row in rows]
     best = best_methods(found, "iqm", ("task", "teacher", "feedback"), list(columns).index("Final"))

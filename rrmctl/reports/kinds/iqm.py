@@ -12,11 +12,22 @@ from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
 from rrmctl.reports import aggregates
-from rrmctl.reports.document import NOTHING, Grid, Report, best_methods, interval, number, place_columns, spread
+from rrmctl.reports.document import (
+    INTERVAL,
+    NOTHING,
+    Grid,
+    Report,
+    best_methods,
+    interval,
+    number,
+    place_columns,
+    spread,
+)
 from rrmctl.reports.series import Panel, Section
 from rrmctl.reports.settings import Settings
 from rrmctl.reports.tables import ALL_TASKS, across_tasks, iqm_table
 from rrmctl.reports.words import BEST_NOTE, contents_notes, facts, statistics_notes, title
+from rrmctl.stats.curves import SHARE
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -50,7 +61,7 @@ def _grid(table: pd.DataFrame) -> Grid:
     words, rows = len(columns), table.to_dict("records")
     columns["Step"] = [_step(row) for row in rows]
     columns["IQM"] = [number(row["iqm"], row["score"]) for row in rows]
-    columns["95 % interval"] = [interval(row["low"], row["high"], row["score"], row["n"]) for row in rows]
+    columns[INTERVAL] = [interval(row["low"], row["high"], row["score"], row["n"]) for row in rows]
     columns["25-75 %"] = [spread(row["q25"], row["q75"], row["score"], "{}..{}") for row in rows]
     columns["n"] = [f"{row['n']}/{row['planned']}" for row in rows]
     columns["AUC"] = [number(row["auc"], row["score"]) for row in rows]
@@ -82,10 +93,11 @@ def _step_note(name: str, panel: Panel) -> str:
     read = panel.read_at()
     if panel.score == "return":
         return f"{name} is read at the last common step, {read.step:,}; scores are true returns."
+    share = f"{100 * SHARE:g} %"
     if read.reached:
         who = " and ".join(read.by)
-        return f"{name} is read at step {read.step:,}, the first at which 80 % of the seeds of {who} are at 100 %."
+        return f"{name} is read at step {read.step:,}, the first at which {share} of the seeds of {who} are at 100 %."
     return (
         f"{LAST_MARK} {name} is read at the last common step, {read.step:,}: no method but the oracle ever has "
-        "80 % of its seeds at 100 %."
+        f"{share} of its seeds at 100 %."
     )

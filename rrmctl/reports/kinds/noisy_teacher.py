@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 from rrmctl.reports import published
 from rrmctl.reports.document import (
+    INTERVAL,
     NOTHING,
     Cell,
     Grid,
@@ -98,7 +99,7 @@ def _list(found: pd.DataFrame) -> Grid:
     columns: dict[str, Sequence[str]] = {name.capitalize(): list(found[name]) for name in names}
     columns["Step"] = [f"{row['step']:,}" for row in rows]
     columns["Final"] = [number(row["iqm"], row["score"]) for row in rows]
-    columns["95 % interval"] = [interval(row["low"], row["high"], row["score"], row["n"]) for row in rows]
+    columns[INTERVAL] = [interval(row["low"], row["high"], row["score"], row["n"]) for row in rows]
     columns["n"] = [f"{row['n']}/{row['planned']}" for row in rows]
     columns["Paper"] = [_paper(row) for row in rows]
     columns["Difference"] = [_signed(row["difference"]) for row in rows]

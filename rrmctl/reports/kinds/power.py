@@ -15,9 +15,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from rrmctl.reports.contests import Contest, Contests, decide, without_score
-from rrmctl.reports.document import NOTHING, Grid, Report, interval, number, place_columns
+from rrmctl.reports.document import INTERVAL, NOTHING, Grid, Report, interval, number, place_columns
 from rrmctl.reports.series import Section
-from rrmctl.reports.settings import BOOTSTRAP_SEED, LEVEL, Settings
+from rrmctl.reports.settings import BOOTSTRAP_SEED, LEVEL, SURE, Settings
 from rrmctl.reports.words import contents_notes, facts, statistics_notes, title
 from rrmctl.stats import Iqm, difference, improvement, outlook
 
@@ -75,10 +75,13 @@ def _grid(table: pd.DataFrame, contests: Contests) -> Grid:
     words, rows = len(columns), table.to_dict("records")
     columns["n"] = [f"{row['n']}:{row['n_against']}" for row in rows]
     columns["Difference"] = [number(row["difference"], row["score"]) for row in rows]
-    columns["95 % interval"] = [interval(row["low"], row["high"], row["score"], row["n"]) for row in rows]
+    columns[INTERVAL] = [
+        interval(row["low"], row["high"], row["score"], min(row["n"], row["n_against"])) for row in rows
+    ]
     columns["P(better)"] = [number(row["improvement"], "success") for row in rows]
-    columns["its 95 %"] = [
-        interval(row["improvement_low"], row["improvement_high"], "success", row["n"]) for row in rows
+    columns[f"its {SURE}"] = [
+        interval(row["improvement_low"], row["improvement_high"], "success", min(row["n"], row["n_against"]))
+        for row in rows
     ]
     columns["Decision"] = [_decision(row) for row in rows]
     columns["More seeds"] = [_more(row, contests.design.seeds) for row in rows]

@@ -19,7 +19,7 @@ from rrmctl.reports.document import NOTHING, Grid, NoDataError, Report, highest,
 from rrmctl.reports.published import Checkpoint
 from rrmctl.reports.scores import score
 from rrmctl.reports.series import SCORE_COLUMN, Section, Series, finite, knows
-from rrmctl.reports.settings import DEFAULTS, Settings
+from rrmctl.reports.settings import DEFAULTS, SURE, Settings
 from rrmctl.reports.words import BEST_NOTE, contents_notes, facts, statistics_notes, title
 
 if TYPE_CHECKING:
@@ -130,7 +130,7 @@ def _grid(found: pd.DataFrame) -> Grid:
             if not knows(row["method"])
         ]
         columns[name.capitalize()] = [number(row["iqm"], row["score"]) for row in rows]
-        columns[f"{name.capitalize()}, 95 %"] = [
+        columns[f"{name.capitalize()}, {SURE}"] = [
             interval(row["low"], row["high"], row["score"], row["n"]) for row in rows
         ]
         columns[f"{name.capitalize()}, paper"] = [_beside(row) for row in rows]

@@ -15,6 +15,7 @@ from rrmctl.reports.kinds import all as everything
 from rrmctl.reports.kinds import claims, final, iqm, less_feedback, noisy_teacher, sim_to_real
 from rrmctl.reports.render import FORMATS, to_text
 from rrmctl.reports.settings import Settings
+from rrmctl.reports.tables import ALL_TASKS
 from tests.rrmctl.reports.stores import FULL, curve, section
 
 QUICK = Settings(replicates=300)
@@ -171,6 +172,19 @@ def test_a_budget_is_the_mean_of_the_iqm_over_the_evaluations():
     assert pooled["mean_iqm"] == pytest.approx(each[each["task"] != less_feedback.ALL_TASKS]["mean_iqm"].mean())
     assert pooled["low"] < pooled["mean_iqm"] < pooled["high"]
     assert pooled["n"] == 10
+
+
+def test_few_seeds_of_each_task_are_said_to_be_few():
+    """Three tasks of two seeds are six runs and no interval: what is few is a task's seeds, not the six."""
+    names = ("button-press", "door-open", "door-unlock")
+    series = {(t, "pebble", "oracle", asked): curve(0.5, seeds=2) for t in names for asked in (FULL, "5@5000/500")}
+    (little_,) = less_feedback.make([section("less-feedback", series, steps=[100])], QUICK)
+    assert little_.grid.rows[0][2:] == ("50.0 % n < 3 on a task", "6/6")
+    assert little_.grid.rows[2][2:] == ("50.0 % n < 3", "2/2")
+    full = {label: values for label, values in series.items() if label[3] == FULL}
+    (pooled,) = iqm.make([section("main-results", full, steps=[100])], QUICK)
+    assert pooled.grid.rows[-1][0] == ALL_TASKS
+    assert "n < 3 on a task" in pooled.grid.rows[-1]
 
 
 @pytest.mark.parametrize("steps", [[100], [100, 200]])
