@@ -56,7 +56,7 @@ def build(
         raise UserError(f'no runs of profile "{profile}" of {", ".join(names)}', "leave --profile out to see all")
     sections = [each.section for each in variants if isinstance(each.section, Section) and each.section.contained]
     gathered = gather(sections, settings)
-    told = [_overview(variants), _made(results, experiments, profile, written)]
+    told = [_overview(variants), _made(_command(results, experiments, profile, settings, allow_mixed), written)]
     common = Part(*tables_at(SEVERAL, "common", gathered))
     parts = [
         Part("overview", "Overview", joined(told), (common,) if common.body else ()),
@@ -106,12 +106,21 @@ def _overview(variants: Sequence[Variant]) -> Html:
     return of_rows(columns, rows, "What this page holds, runs that others need included")
 
 
-def _made(results: str | Path, experiments: Sequence[str], profile: str | None, written: str) -> Html:
+def _command(
+    results: str | Path, experiments: Sequence[str], profile: str | None, settings: Settings, allow_mixed: bool
+) -> str:
+    """What makes this page again."""
+    words = ["rrmctl", "report", "html", *experiments, "--results", str(results)]
+    words += [] if profile is None else ["--profile", profile]
+    words += [] if settings.kind == DEFAULTS.kind else ["--iqm", settings.kind]
+    words += [] if settings.replicates == DEFAULTS.replicates else ["--replicates", str(settings.replicates)]
+    return shlex.join([*words, *(["--allow-mixed"] if allow_mixed else [])])
+
+
+def _made(command: str, written: str) -> Html:
     """How the page came about."""
-    command = ["rrmctl", "report", "html", *experiments, "--results", str(results)]
-    command += [] if profile is None else ["--profile", profile]
     told = f"Written by rrmctl {metadata.version('rrmctl')}" + (f", {written}" if written else "") + ", with"
-    return element("p", told, " ", element("code", shlex.join(command)))
+    return element("p", told, " ", element("code", command))
 
 
 def _whole(heading: str, parts: Sequence[Part]) -> str:

@@ -286,6 +286,15 @@ def test_tables_stand_where_they_belong(tmp_path, monkeypatch):
     assert found.refused == {second: {"choosy": "no toys"}, SEVERAL: {"none": "nothing at all"}}
 
 
+def test_the_command_of_the_page_makes_it_again(tmp_path):
+    """What it was made with stands on it, as far as that is not the default."""
+    Sweep().write(tmp_path)
+    options = ("--results", str(tmp_path), "--profile", "laptop", "--iqm", "exact", "--replicates", "100")
+    assert page(*options, "--allow-mixed", "-o", tmp_path / "page.html").exit_code == 0
+    told = " ".join(("rrmctl report html", *options, "--allow-mixed"))
+    assert f"<code>{told}</code>" in (tmp_path / "page.html").read_text()
+
+
 def test_each_variant_has_its_own_reason(tmp_path):
     """Mixed runs of one profile are listed with the reason in their chapter; the other's tables are there."""
     Sweep(versions={(TASK, "pebble", seed): 1 for seed in range(5)}).write(tmp_path)
