@@ -8,7 +8,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from rrm.envs.tasks import Score
-from rrmctl.errors import UserError
 from rrmctl.reports.marks import panel_name, scaled
 from rrmctl.reports.series import Floats, Panel, Section
 from rrmctl.reports.tables import ALL_TASKS, across_tasks
@@ -35,19 +34,11 @@ def readings(section: Section, rule: Callable[[Panel], CommonStep]) -> list[Read
 
     A method is pooled where it has runs on all of the tasks.
     """
-    panels = [panel for panel in section.panels() if comparable(panel)]
+    panels = [panel for panel in section.panels() if panel.comparable()]
     single = {id(panel): _of_panel(panel, panels, rule(panel)) for panel in panels}
     groups = across_tasks(panels)
     pooled = [_pooled([single[id(panel)] for panel in group], several=len(groups) > 1) for group in groups]
     return [*single.values(), *pooled]
-
-
-def comparable(panel: Panel) -> bool:
-    """Whether some evaluation step is common to its methods."""
-    try:
-        return panel.steps().size > 0
-    except UserError:
-        return False
 
 
 def last_step(panel: Panel) -> CommonStep:

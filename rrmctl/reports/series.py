@@ -115,6 +115,13 @@ class Panel:
             raise UserError(f"{self.task}: no evaluation step is common to all methods: {seen}")
         return common
 
+    def comparable(self) -> bool:
+        """Whether some evaluation step is common to its methods."""
+        try:
+            return self.steps().size > 0
+        except UserError:
+            return False
+
     def read_at(self) -> CommonStep:
         """The step at which the methods are compared: the paper's rule for success, the last one for returns."""
         steps = self.steps()

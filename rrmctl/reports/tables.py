@@ -54,29 +54,34 @@ class Curve:
     iqm: Estimate  #: arrays [T]
     q25: Floats  #: [T]
     q75: Floats  #: [T]
-    draws: Floats | None  #: replicates of the IQM, [R, T]; None with too few runs for an interval
-
-    def area(self, steps: Steps) -> Estimate:
-        """Area under the IQM curve over these of its steps, as a mean height."""
-        where = np.searchsorted(self.series.steps, steps)
-        draws = None if self.draws is None else area_under_curve(steps, self.draws[:, where])
-        return estimate(area_under_curve(steps, self.iqm.estimate[where]), draws, n=self.series.n, level=LEVEL)
+    #: Under the IQM curve, as mean heights over the steps of each panel it stands in, by teacher and feedback.
+    areas: Mapping[tuple[str, str], Estimate]
 
 
-@lru_cache(maxsize=64)  # a table and the file beside it are made of the same curves
+@lru_cache(maxsize=64)  # a table and the file beside it are made of the same curves; replicates are not kept
 def curves(section: Section, settings: Settings = DEFAULTS) -> Mapping[Series, Curve]:
     """The curve of every series that has a run."""
-    return {each: _curve(each, settings) for each in section.series if each.n}
+    panels = [panel for panel in section.panels() if panel.comparable()]
+    own = {each: [panel for panel in panels if each in panel.series] for each in section.series if each.n}
+    return {each: _curve(each, where, settings) for each, where in own.items()}
 
 
-def _curve(series: Series, settings: Settings) -> Curve:
+def _curve(series: Series, panels: Sequence[Panel], settings: Settings) -> Curve:
     draws = None
     if interval_possible([series.n]):
         rng = np.random.default_rng(BOOTSTRAP_SEED)
         draws = resample([series.values], Iqm(settings.kind), rng=rng, replicates=settings.replicates)
     q25, q75 = quartiles(series.values, axis=0)
     point = iqm(series.values, settings.kind, axis=0)
-    return Curve(series, estimate(point, draws, n=series.n, level=LEVEL), q25, q75, draws)
+    areas = {(panel.teacher, panel.feedback): _area(series, panel.steps(), point, draws) for panel in panels}
+    return Curve(series, estimate(point, draws, n=series.n, level=LEVEL), q25, q75, areas)
+
+
+def _area(series: Series, steps: Steps, point: Floats, draws: Floats | None) -> Estimate:
+    """Under a curve [T] with its replicates [R, T], over these of its steps."""
+    where = np.searchsorted(series.steps, steps)
+    drawn = None if draws is None else area_under_curve(steps, draws[:, where])
+    return estimate(area_under_curve(steps, point[where]), drawn, n=series.n, level=LEVEL)
 
 
 def curve_table(section: Section, settings: Settings = DEFAULTS) -> pd.DataFrame:
@@ -106,7 +111,7 @@ def iqm_table(section: Section, settings: Settings = DEFAULTS) -> pd.DataFrame:
 
 
 def _panel_rows(panel: Panel, made: Mapping[Series, Curve]) -> Iterator[dict[str, Any]]:
-    read, steps = panel.read_at(), panel.steps()
+    read = panel.read_at()
     rule = "final" if panel.score == "return" else "first" if read.reached else "last"
     for series in panel.series:
         row: dict[str, Any] = {
@@ -115,7 +120,7 @@ def _panel_rows(panel: Panel, made: Mapping[Series, Curve]) -> Iterator[dict[str
         }  # fmt: skip
         if series in made:
             curve = made[series]
-            at, area = int(np.searchsorted(series.steps, read.step)), curve.area(steps)
+            at, area = int(np.searchsorted(series.steps, read.step)), curve.areas[panel.teacher, panel.feedback]
             row |= {"iqm": curve.iqm.estimate[at], "low": curve.iqm.low[at], "high": curve.iqm.high[at]}
             row |= {"q25": curve.q25[at], "q75": curve.q75[at]}
             row |= {"auc": area.estimate, "auc_low": area.low, "auc_high": area.high}

@@ -13,7 +13,7 @@ import numpy as np
 
 from rrmctl.reports.marks import UNITS, contents, line, methods, score_axis, step_axis
 from rrmctl.reports.notebook import from_frames, nothing
-from rrmctl.reports.readings import Reading, comparable, readings
+from rrmctl.reports.readings import Reading, readings
 from rrmctl.reports.series import Floats, Panel, Section, at_steps, knows
 from rrmctl.reports.settings import DEFAULTS, Settings
 from rrmctl.reports.sheet import Shape, panel_title, shape, sheet
@@ -39,7 +39,10 @@ def suits(section: Section) -> bool:
     panels = section.panels()
     schedules = {(panel.task, panel.teacher) for panel in panels}
     return len(schedules) == len(panels) and any(
-        each.n >= MIN_RUNS and not each.label.knows for panel in panels if comparable(panel) for each in panel.present()
+        each.n >= MIN_RUNS and not each.label.knows
+        for panel in panels
+        if panel.comparable()
+        for each in panel.present()
     )
 
 

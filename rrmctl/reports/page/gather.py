@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 #: Experiment and variant; where a table is of several, it stands before their chapters.
 Place = tuple[str, str]
 SEVERAL: Place = ("", "")
+#: The kind that is all the others.
+EVERYTHING = "all"
 
 
 @dataclass
@@ -32,10 +34,12 @@ class Tables:
 def gather(sections: Sequence[Section], settings: Settings) -> Tables:
     """The tables of all kinds, made of all sections at once: some kinds compare experiments.
 
-    A table that a kind took over from another stands under the other. Why a kind has none at all stands at `SEVERAL`.
+    Why a kind has none at all stands at `SEVERAL`.
     """
     places, found = {(section.experiment, section.variant) for section in sections}, Tables()
     for kind, entry in kinds().items() if sections else ():
+        if kind == EVERYTHING:
+            continue
         module = entry.load()
         try:
             reports = module.make(sections, settings)
@@ -45,8 +49,7 @@ def gather(sections: Sequence[Section], settings: Settings) -> Tables:
                 found.refused[place][kind] = reason
         for report in reports:
             place = (report.facts["experiment"], report.facts["variant"])
-            if report.facts.get("table", kind) == kind:
-                found.made[place if place in places else SEVERAL].append((kind, report))
+            found.made[place if place in places else SEVERAL].append((kind, report))
     return found
 
 

@@ -1,3 +1,5 @@
+import pickle
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -6,7 +8,7 @@ from scipy.stats import trim_mean
 from rrmctl.reports import aggregates
 from rrmctl.reports.select import sections
 from rrmctl.reports.settings import Settings
-from rrmctl.reports.tables import ALL_TASKS, COLUMNS, CURVE_COLUMNS, curve_table, iqm_table
+from rrmctl.reports.tables import ALL_TASKS, COLUMNS, CURVE_COLUMNS, curve_table, curves, iqm_table
 from rrmctl.store.layout import Layout
 from tests.rrmctl.reports.frames import RISING, SATURATED, Sweep
 
@@ -30,6 +32,13 @@ def test_a_method_is_read_at_the_common_step():
     assert pebble["iqm"] == pytest.approx(trim_mean(at_300, 0.25))
     assert (pebble["q25"], pebble["q75"]) == tuple(np.quantile(at_300, [0.25, 0.75]))
     assert 0.0 <= pebble["low"] <= pebble["iqm"] <= pebble["high"] <= 0.7
+
+
+def test_replicates_are_not_kept():
+    """What a table and the file beside it share takes no more room for more resampled data sets."""
+    (section,) = sections(*Sweep().frames())
+    few, many = (len(pickle.dumps(curves(section, Settings(replicates=each)))) for each in (100, 3000))
+    assert abs(many - few) < 1000
 
 
 def test_the_area_is_that_of_the_iqm_curve():
