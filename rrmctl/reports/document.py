@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
     from rrm.envs.tasks import Score
+    from rrmctl.reports.series import Section
 
 #: Stands where there is nothing to say.
 NOTHING = "–"
@@ -113,6 +114,23 @@ class Report:
 def counts(rows: Iterable[Mapping[Any, Any]]) -> str:
     """Runs of those planned, of each of several rows in one cell; once where all have equally many."""
     return ", ".join(dict.fromkeys(f"{row['n']}/{row['planned']}" for row in rows))
+
+
+def some(reports: list[Report], sections: Sequence[Section], lacking: str, hint: str) -> list[Report]:
+    """The reports of a kind, if there are any.
+
+    Args:
+        sections: that were asked about.
+        lacking: what they have none of.
+        hint: what to do about that.
+
+    Raises:
+        NoDataError: there is none.
+    """
+    if not reports:
+        names = ", ".join(dict.fromkeys(section.experiment for section in sections))
+        raise NoDataError(f"{names}: {lacking}", hint)
+    return reports
 
 
 def number(value: float, score: Score) -> str:

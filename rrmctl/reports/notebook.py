@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
 from rrmctl.errors import UserError
 from rrmctl.reports.select import sections
@@ -17,8 +17,12 @@ if TYPE_CHECKING:
     from rrmctl.reports.series import Section
 
 
-class FromFrames(Protocol):
-    """A figure of one variant of one experiment."""
+class FromFrames:
+    """The notebook's side of a figure's `draw`: of one variant of one experiment."""
+
+    def __init__(self, draw: Callable[[Section, Settings], Figure]) -> None:
+        self._draw = draw
+        self.__doc__ = draw.__doc__
 
     def __call__(
         self,
@@ -41,23 +45,7 @@ class FromFrames(Protocol):
         Raises:
             UserError: several variants or experiments at once, runs that do not belong together, or nothing to draw.
         """
-
-
-def from_frames(draw: Callable[[Section, Settings], Figure]) -> FromFrames:
-    """The notebook's side of a figure's `draw`."""
-
-    def figure(
-        rows: pd.DataFrame,
-        jobs: pd.DataFrame | None = None,
-        *,
-        kind: IqmKind = "rliable",
-        width: Width = "page",
-        replicates: int = REPLICATES,
-    ) -> Figure:
-        return draw(one_section(rows, jobs), Settings(kind=kind, width=width, replicates=replicates))
-
-    figure.__doc__ = f"{draw.__doc__}\n\n{FromFrames.__call__.__doc__}"
-    return figure
+        return self._draw(one_section(rows, jobs), Settings(kind=kind, width=width, replicates=replicates))
 
 
 def nothing(section: Section, what: str) -> UserError:

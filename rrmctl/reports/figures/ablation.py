@@ -9,7 +9,7 @@ import itertools
 from typing import TYPE_CHECKING
 
 from rrmctl.reports.marks import contents, curves_cell, iqm_notes, methods, panel_name
-from rrmctl.reports.notebook import from_frames, nothing
+from rrmctl.reports.notebook import FromFrames, nothing
 from rrmctl.reports.series import Panel, Section, Series
 from rrmctl.reports.settings import DEFAULTS, Settings
 from rrmctl.reports.sheet import cells_sheet
@@ -65,4 +65,4 @@ def _shown(panel: Panel, prior: str) -> list[Series]:
     return [each for each, family, base in named if family == "" or base == prior]
 
 
-ablation = from_frames(draw)
+ablation = FromFrames(draw)

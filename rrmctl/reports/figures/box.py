@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from rrmctl.reports.marks import UNITS, contents, line, methods, score_axis, step_axis
-from rrmctl.reports.notebook import from_frames, nothing
+from rrmctl.reports.notebook import FromFrames, nothing
 from rrmctl.reports.readings import Reading, readings
 from rrmctl.reports.series import Floats, Panel, Section, at_steps, knows
 from rrmctl.reports.settings import DEFAULTS, Settings
@@ -192,4 +192,4 @@ def _notes(cells: Sequence[Reading], kind: IqmKind) -> Iterator[str]:
         yield "Returns are read at the last step."
 
 
-box_plot = from_frames(draw)
+box_plot = FromFrames(draw)

@@ -8,7 +8,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from rrmctl.reports.marks import contents, curves_cell, iqm_notes, methods, panel_name
-from rrmctl.reports.notebook import from_frames, nothing
+from rrmctl.reports.notebook import FromFrames, nothing
 from rrmctl.reports.series import Section
 from rrmctl.reports.settings import DEFAULTS, Settings
 from rrmctl.reports.sheet import cells_sheet
@@ -41,4 +41,4 @@ def draw(section: Section, settings: Settings = DEFAULTS) -> Figure:
     )
 
 
-learning_curves = from_frames(draw)
+learning_curves = FromFrames(draw)

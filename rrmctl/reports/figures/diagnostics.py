@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from rrmctl.reports.marks import band, contents, handle, iqm_notes, line, panel_name, score_axis, step_axis
-from rrmctl.reports.notebook import from_frames, nothing
+from rrmctl.reports.notebook import FromFrames, nothing
 from rrmctl.reports.series import ORACLE, Panel, Section, Series, finite
 from rrmctl.reports.settings import DEFAULTS, Settings
 from rrmctl.reports.sheet import Cell, cells_sheet
@@ -116,4 +116,4 @@ def _cells(series: Series, panel: Panel, panels: Sequence[Panel], kind: IqmKind)
     ]
 
 
-diagnostics = from_frames(draw)
+diagnostics = FromFrames(draw)

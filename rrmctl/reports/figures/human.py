@@ -20,7 +20,7 @@ from rrmctl.reports.marks import (
     score_axis,
     step_axis,
 )
-from rrmctl.reports.notebook import from_frames, nothing
+from rrmctl.reports.notebook import FromFrames, nothing
 from rrmctl.reports.series import Panel, Section
 from rrmctl.reports.settings import DEFAULTS, Settings
 from rrmctl.reports.sheet import Cell, cells_sheet
@@ -81,4 +81,4 @@ def _cell(name: str, panel: Panel, kind: IqmKind) -> Cell:
     return Cell(name, f"{UNITS[panel.score]}, smoothed", fill)
 
 
-smoothed_curves = from_frames(draw)
+smoothed_curves = FromFrames(draw)

@@ -15,7 +15,7 @@ import numpy as np
 from rrmctl.errors import UserError
 from rrmctl.planning.schedules import Schedule
 from rrmctl.reports.marks import UNITS, contents, methods, score_axis, told
-from rrmctl.reports.notebook import from_frames, nothing
+from rrmctl.reports.notebook import FromFrames, nothing
 from rrmctl.reports.scores import read_together, score
 from rrmctl.reports.series import NOTHING_ASKED, Floats, Section, Series
 from rrmctl.reports.settings import DEFAULTS, SURE, Settings
@@ -169,4 +169,4 @@ def _draw_points(axes: Axes, x: Floats, made: Sequence[tuple[Estimate, float]], 
     axes.plot(x, last, markersize=3, markeredgewidth=0.6, **hollow)
 
 
-less_feedback = from_frames(draw)
+less_feedback = FromFrames(draw)

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from rrmctl.reports.marks import UNITS, contents, handle, line, score_axis
-from rrmctl.reports.notebook import from_frames, nothing
+from rrmctl.reports.notebook import FromFrames, nothing
 from rrmctl.reports.readings import Reading, last_step, readings
 from rrmctl.reports.series import Section
 from rrmctl.reports.settings import BOOTSTRAP_SEED, DEFAULTS, LEVEL, SURE, Settings
@@ -103,4 +103,4 @@ def _filler(cell: Reading, settings: Settings) -> Callable[[Axes], None]:
     return fill
 
 
-profile = from_frames(draw)
+profile = FromFrames(draw)

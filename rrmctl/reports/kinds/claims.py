@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
-from rrmctl.reports.document import INTERVAL, Grid, NoDataError, Report, interval, number
+from rrmctl.reports.document import INTERVAL, Grid, Report, interval, number, some
 from rrmctl.reports.judging import Judgement, at_profile, judge
 from rrmctl.reports.prose import CLAIMS
 from rrmctl.reports.series import Section
@@ -37,12 +37,8 @@ def make(sections: Sequence[Section], settings: Settings) -> list[Report]:
     """
     asked = list(dict.fromkeys(claim.experiment for claim in CLAIMS))
     known = [section for section in sections if section.experiment in asked]
-    if not known:
-        names = ", ".join(dict.fromkeys(section.experiment for section in sections))
-        raise NoDataError(
-            f"{names}: the paper's prose claims nothing of it", f"its claims are about {', '.join(asked)}"
-        )
-    return [_report(alike, settings) for alike in _variants(known)]
+    made = [_report(alike, settings) for alike in _variants(known)]
+    return some(made, sections, "the paper's prose claims nothing of it", f"its claims are about {', '.join(asked)}")
 
 
 def table(sections: Sequence[Section], settings: Settings = DEFAULTS) -> pd.DataFrame:

@@ -11,7 +11,7 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-from rrmctl.reports.document import NOTHING, Grid, NoDataError, Report, counts, highest, interval, number
+from rrmctl.reports.document import NOTHING, Grid, Report, counts, highest, interval, number, some
 from rrmctl.reports.scores import read_together, score
 from rrmctl.reports.series import NOTHING_ASKED, Section, Series
 from rrmctl.reports.settings import DEFAULTS, Settings
@@ -40,12 +40,8 @@ def make(sections: Sequence[Section], settings: Settings) -> list[Report]:
         NoDataError: there is none.
     """
     made = [_report(section, settings) for section in sections if _schedules(section)]
-    if not made:
-        names = ", ".join(dict.fromkeys(section.experiment for section in sections))
-        raise NoDataError(
-            f"{names}: no task has runs under several schedules of feedback", "`rrmctl run less-feedback` makes them"
-        )
-    return made
+    lacking = "no task has runs under several schedules of feedback"
+    return some(made, sections, lacking, "`rrmctl run less-feedback` makes them")
 
 
 def table(section: Section, settings: Settings = DEFAULTS) -> pd.DataFrame:

@@ -19,7 +19,6 @@ from rrmctl.reports.document import (
     NOTHING,
     Cell,
     Grid,
-    NoDataError,
     Report,
     best_methods,
     counts,
@@ -27,6 +26,7 @@ from rrmctl.reports.document import (
     interval,
     number,
     plus_minus,
+    some,
     tells_apart,
 )
 from rrmctl.reports.kinds.final import final_rows
@@ -57,13 +57,8 @@ def make(sections: Sequence[Section], settings: Settings) -> list[Report]:
     """
     found = [(section, table(section, settings)) for section in sections]
     made = [_report(section, rows, settings) for section, rows in found if len(rows)]
-    if not made:
-        names = ", ".join(dict.fromkeys(section.experiment for section in sections))
-        raise NoDataError(
-            f"{names}: there are no runs under a teacher who errs",
-            "`rrmctl run noisy-teacher` makes them; `rrmctl report final` is the table for other experiments",
-        )
-    return made
+    hint = "`rrmctl run noisy-teacher` makes them; `rrmctl report final` is the table for other experiments"
+    return some(made, sections, "there are no runs under a teacher who errs", hint)
 
 
 def table(section: Section, settings: Settings = DEFAULTS) -> pd.DataFrame:

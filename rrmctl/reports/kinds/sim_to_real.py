@@ -15,7 +15,7 @@ import numpy as np
 
 from rrmctl.planning.profiles import PAPER
 from rrmctl.reports import published
-from rrmctl.reports.document import NOTHING, Grid, NoDataError, Report, highest, interval, number
+from rrmctl.reports.document import NOTHING, Grid, Report, highest, interval, number, some
 from rrmctl.reports.published import Checkpoint
 from rrmctl.reports.scores import score
 from rrmctl.reports.series import SCORE_COLUMN, Section, Series, finite, knows
@@ -43,13 +43,8 @@ def make(sections: Sequence[Section], settings: Settings) -> list[Report]:
     """
     found = [(section, table(section, settings)) for section in sections]
     made = [_report(section, rows, settings) for section, rows in found if len(rows)]
-    if not made:
-        names = ", ".join(dict.fromkeys(section.experiment for section in sections))
-        raise NoDataError(
-            f"{names}: there are no runs of {', '.join(published.deployed_tasks())}",
-            "`rrmctl list` names what there is to run",
-        )
-    return made
+    lacking = f"there are no runs of {', '.join(published.deployed_tasks())}"
+    return some(made, sections, lacking, "`rrmctl list` names what there is to run")
 
 
 def table(section: Section, settings: Settings = DEFAULTS) -> pd.DataFrame:

@@ -143,11 +143,11 @@ grids = st.integers(1, 4).flatmap(
 
 @given(grids)
 def test_a_grid_keeps_its_cells_in_markdown(grid):
-    """However odd the text, every row of the grid is one line of as many cells."""
+    """However odd the text, every row of the grid is one line of as many cells; without rows there is no table."""
     header, rows = grid
     made = Report("t", pd.DataFrame(), Grid(tuple(header), tuple(map(tuple, rows)), 1), (), {})
     lines = [line for line in to_text([made], "markdown").splitlines() if line.startswith("|")]
-    assert len(lines) == 2 + len(rows)
+    assert len(lines) == (2 + len(rows) if rows else 0)
     for line in lines:
         assert line.replace("\\|", "").count("|") == len(header) + 1
 
