@@ -1,5 +1,6 @@
 import io
 import json
+import re
 import tomllib
 from pathlib import Path
 
@@ -329,6 +330,14 @@ def test_everything_at_once_leaves_out_what_there_is_no_data_for():
     kinds = [report.facts["table"] for report in made]
     assert set(kinds) == {"claims", "final", "iqm", "less-feedback", "noisy-teacher", "power"}
     assert kinds.count("noisy-teacher") == 1
+
+
+def test_the_docs_name_every_fact():
+    """What stands beside the rows of csv and json is in docs/reports.md, between backticks."""
+    text = (Path(__file__).parents[3] / "docs" / "reports.md").read_text(encoding="utf-8")
+    named = set(re.findall(r"\w+", " ".join(re.findall(r"`([^`\n]*)`", text.replace("\n", " ")))))
+    told = {fact for report in everything.make([noisy(), little()], QUICK) for fact in report.facts}
+    assert told - named == set()
 
 
 def test_a_section_that_cannot_be_compared_keeps_no_other_back():
