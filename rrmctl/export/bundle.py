@@ -6,8 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
-from rrmctl.errors import UserError
-from rrmctl.planning.manifest import nearest
+from rrmctl.reports.names import check_profile
 from rrmctl.store.inventory import Run, inventory
 
 if TYPE_CHECKING:
@@ -42,11 +41,7 @@ def read(results: str | Path, experiment: str, profile: str | None = None) -> Bu
         UserError: no such experiment or profile, or a file is damaged; the message names it.
     """
     runs = inventory(results, experiment)
-    present = sorted({str(run.plan["profile"]) for run in runs})
-    if profile is not None and profile not in present:
-        raise UserError(
-            f'no runs of profile "{profile}"{nearest(profile, present)}', f"there are runs of: {', '.join(present)}"
-        )
+    check_profile(profile, (str(run.plan["profile"]) for run in runs))
     return Bundle(experiment, tuple(run for run in runs if profile in (None, run.plan["profile"])))
 
 

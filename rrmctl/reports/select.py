@@ -18,8 +18,7 @@ import numpy as np
 
 from rrm.envs.tasks import task
 from rrmctl.errors import UserError
-from rrmctl.planning.manifest import nearest
-from rrmctl.reports import mixing
+from rrmctl.reports import mixing, names
 from rrmctl.reports.mixing import Making
 from rrmctl.reports.series import SCORE_COLUMN, Absent, Label, Section, Series, by_seed
 from rrmctl.store.reader import load, open_results, planned
@@ -45,13 +44,7 @@ def read_sections(
         UserError: no such results folder or experiment there, or a damaged file.
     """
     layout = open_results(results)
-    known = layout.experiments()
-    if not known:
-        raise UserError(f"{layout.root} holds no experiment yet", "start one, e.g. `rrmctl run quickstart`")
-    if experiment is not None and experiment not in known:
-        near = nearest(experiment, known)
-        start = "" if near else "; `rrmctl list` names what there is to run"
-        raise UserError(f'{layout.root} holds no runs of "{experiment}"{near}', f"it holds: {', '.join(known)}{start}")
+    names.experiments(layout, [] if experiment is None else [experiment])
     rows, jobs = load(results, experiment), planned(results, experiment)
     rows = rows[rows["experiment"] != ""]  # runs that no sweep asked for have no labels to be reported under
     begun = [run for run in jobs["run"] if layout.run(run).config.exists()]
@@ -78,18 +71,14 @@ def of_profile(found: Sequence[Section], profile: str | None) -> tuple[Section, 
     Raises:
         UserError: there is none, the message says what is there instead; or the runs of one do not belong together.
     """
-    present = sorted({each.profile for each in found})
-    if profile is not None and profile not in present:
-        raise UserError(
-            f'no runs of profile "{profile}"{nearest(profile, present)}', f"there are runs of: {', '.join(present)}"
-        )
+    names.check_profile(profile, (each.profile for each in found))
     chosen = [each.accepted() for each in found if profile in (None, each.profile)]
     if not any(each.contained for each in chosen):
-        names = ", ".join(dict.fromkeys(each.experiment for each in chosen))
+        which = ", ".join(dict.fromkeys(each.experiment for each in chosen))
         states = Counter(absent.state for each in chosen for absent in each.absent)
         told = ", ".join(f"{count} {state}" for state, count in states.items())
         raise UserError(
-            f"{names}: no run can be reported yet; of the planned ones {told}",
+            f"{which}: no run can be reported yet; of the planned ones {told}",
             "`rrmctl status` says where they stand; `rrmctl run NAME` goes on",
         )
     return tuple(chosen)

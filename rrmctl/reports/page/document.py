@@ -13,7 +13,7 @@ from importlib import metadata, resources
 from pathlib import Path
 
 from rrmctl.errors import UserError
-from rrmctl.planning.manifest import nearest
+from rrmctl.reports import names as asked
 from rrmctl.reports.accounts import total
 from rrmctl.reports.page.chapter import Part, Variant, chapter, tables_at
 from rrmctl.reports.page.gather import SEVERAL, gather
@@ -49,11 +49,10 @@ def build(
     Raises:
         UserError: the store holds no run of an experiment or profile that is named, or none at all; a file is damaged.
     """
-    names = _named(results, experiments)
+    names = asked.experiments(open_results(results), experiments)
     found = [each for name in names for each in _variants(results, name, allow_mixed=allow_mixed)]
+    asked.check_profile(profile, (str(each.runs[0].plan["profile"]) for each in found))
     variants = [each for each in found if profile in (None, each.runs[0].plan["profile"])]
-    if not variants:
-        raise UserError(f'no runs of profile "{profile}" of {", ".join(names)}', "leave --profile out to see all")
     sections = [each.section for each in variants if isinstance(each.section, Section) and each.section.contained]
     gathered = gather(sections, settings)
     told = [_overview(variants), _made(_command(results, experiments, profile, settings, allow_mixed), written)]
@@ -63,19 +62,6 @@ def build(
         *(chapter(each, gathered, settings) for each in variants),
     ]
     return _whole(f"Report: {', '.join(names)}", parts)
-
-
-def _named(results: str | Path, experiments: Sequence[str]) -> list[str]:
-    layout = open_results(results)
-    known = layout.experiments()
-    if not known:
-        raise UserError(f"{layout.root} holds no experiment yet", "start one, e.g. `rrmctl run quickstart`")
-    for name in experiments:
-        if name not in known:
-            raise UserError(
-                f'{layout.root} holds no runs of "{name}"{nearest(name, known)}', f"it holds: {', '.join(known)}"
-            )
-    return list(dict.fromkeys(experiments)) or known
 
 
 def _variants(results: str | Path, experiment: str, *, allow_mixed: bool) -> Iterator[Variant]:
