@@ -59,7 +59,9 @@ def write(layout: Layout, sections: Sequence[Section], settings: Settings = DEFA
         remove_leftovers(path.parent)
         write_table(path, pa.Table.from_arrays(columns, schema=schema()))
     if mixed:
-        raise UserError(f"{', '.join(sorted(mixed))}: runs that are mixed are not kept as one curve")
+        why = "; ".join(str(section.refusal) for section in sections if section.refusal)
+        told = f"{', '.join(sorted(mixed))}: runs that are mixed are not kept as one curve"
+        raise UserError(f"{told}: {why}" if why else told)
 
 
 def _kinds() -> list[tuple[str, pa.DataType]]:
