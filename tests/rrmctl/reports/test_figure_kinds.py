@@ -5,6 +5,7 @@ import pytest
 from rrmctl.errors import UserError
 from rrmctl.reports.figures import figures
 from rrmctl.reports.figures.gradient_norm import gradient_norms
+from rrmctl.reports.notebook import FromFrames
 from rrmctl.reports.select import sections
 from rrmctl.reports.settings import Settings
 from tests.rrmctl.reports import scenes
@@ -105,4 +106,5 @@ def test_every_figure_has_a_help_and_a_function_for_notebooks():
 
 
 def _hints(each):
-    return getattr(each, "__annotations__", {}).get("rows", "")
+    called = type(each).__call__ if isinstance(each, FromFrames) else each
+    return getattr(called, "__annotations__", {}).get("rows", "")
