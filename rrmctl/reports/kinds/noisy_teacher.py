@@ -45,6 +45,8 @@ COLUMNS = (
     "published_half", "difference",
 )  # fmt: skip
 
+#: What the paper calls a learner without a prior, and which those are.
+_BASELINE = "baseline"
 _BASELINES = ("pebble", "surf", "mrn")
 _RESIDUAL = re.compile(r"rrm-(?:surf-|mrn-)?(.+)")
 
@@ -83,7 +85,7 @@ def _beside_published(row: dict[str, Any]) -> dict[str, Any]:
 
 def _report(section: Section, found: pd.DataFrame, settings: Settings) -> Report:
     grid = _matrix(found) if settings.plus_minus else _list(found)
-    notes = tuple(_notes(section, found, settings))
+    notes = tuple(_notes(section, found, grid, settings))
     return Report(title(section), found, grid, notes, facts(section, settings))
 
 
@@ -143,7 +145,7 @@ def _key(row: Mapping[Any, Any], names: Sequence[str]) -> tuple[str, ...]:
 def _family(method: str) -> str:
     """The method without the learner it builds on, as the paper's rows are named."""
     if method in _BASELINES:
-        return "baseline"
+        return _BASELINE
     residual = _RESIDUAL.fullmatch(method)
     return f"rrm-{residual[1]}" if residual else method
 
@@ -161,7 +163,7 @@ def _signed(difference: float) -> str:
     return NOTHING if math.isnan(difference) else f"{100 * difference:+.1f}"
 
 
-def _notes(section: Section, found: pd.DataFrame, settings: Settings) -> Iterator[str]:
+def _notes(section: Section, found: pd.DataFrame, grid: Grid, settings: Settings) -> Iterator[str]:
     yield from contents_notes(section)
     steps = {" ".join(_key(row, _places(found))): row["step"] for row in found.to_dict("records")}
     yield f"Read at the last common step: {', '.join(f'{name} at {step:,}' for name, step in steps.items())}."
@@ -171,6 +173,7 @@ def _notes(section: Section, found: pd.DataFrame, settings: Settings) -> Iterato
     )
     if settings.plus_minus:
         yield "± is half the width of the interval, which need not lie evenly about the value, nor end at 100 %."
-        yield "baseline: the learner without a prior, which residual models build on."
+        if any(_BASELINE in row for row in grid.rows):
+            yield f"{_BASELINE}: the learner without a prior, which residual models build on."
     yield BEST_NOTE
     yield from statistics_notes(section, settings)

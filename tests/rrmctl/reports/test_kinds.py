@@ -91,6 +91,7 @@ def test_the_papers_form_drops_no_method():
     series = {("door-open", name, "mistaken-10", FULL): curve(0.1 * at) for at, name in enumerate(names)}
     (matrix,) = noisy_teacher.make([section("noisy-teacher", series, steps=[100])], PAPERS_FORM)
     assert [cells[0] for cells in matrix.grid.rows] == list(names)
+    assert not any(note.startswith("baseline") for note in matrix.notes)
     assert [cells[1].partition(" ")[0] for cells in matrix.grid.rows] == ["0.0", "10.0", "20.0", "30.0", "40.0"]
 
 
