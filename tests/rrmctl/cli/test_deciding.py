@@ -18,6 +18,7 @@ from rrmctl.store import planned
 from rrmctl.store.atomic import write_json
 from rrmctl.store.layout import Layout
 from rrmctl.store.records import State, Status, record_config, write_status
+from rrmctl.store.schema import SCHEMA_VERSION
 from rrmctl.store.trials import Pairing, Trial, begin_trial, read_trial
 from rrmctl.store.writer import CurveWriter
 from tests.rrmctl.cli.test_run import ERROR, EXPERIMENTS, PLAN, call, start
@@ -84,7 +85,8 @@ def test_another_variants_runs_are_no_matter(tmp_path: Path) -> None:
     assert result.exit_code == 0, result.output
     own = planned(tmp_path, "toy-car").query("profile == 'smoke'")["run"]
     for run, torch in zip(own, ("2.4.0", "2.6.0"), strict=False):
-        write_json(Layout(tmp_path).run(run).provenance, {"versions": {"torch": torch}, "resumed": []})
+        made = {"schema_version": SCHEMA_VERSION, "versions": {"torch": torch}, "resumed": []}
+        write_json(Layout(tmp_path).run(run).provenance, made)
     result = decide(tmp_path, "--max-seeds", "10")
     assert result.exit_code == 2
     assert "toy-car, profile smoke: its runs do not belong in one report" in result.stderr
