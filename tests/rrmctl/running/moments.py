@@ -33,6 +33,9 @@ from rrmctl.running.worker import WorkerExit, main
 from rrmctl.store.layout import RunFolder
 from tests.rrmctl.running.test_torn import numbers, prepared, work
 
+#: Of workers, at least.
+KILLS = 200
+
 _WRITES = os.O_WRONLY | os.O_RDWR | os.O_CREAT
 _OPERATIONS = {"os.rename", "os.remove", "os.mkdir", "os.rmdir", "os.truncate", "fcntl.flock"}
 
@@ -118,7 +121,7 @@ def examine(root: Path, stride: int) -> Found:
     for kill_at in itertools.count(0, stride):
         if not killed_at(root / "killed", kill_at, undisturbed, found):
             break
-    for seed in range(1, 21):
+    for seed in itertools.takewhile(lambda _: found.kills < KILLS, itertools.count(1)):
         killed_again_and_again(root / f"again-{seed}", seed, undisturbed, found)
     return found
 
