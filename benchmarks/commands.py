@@ -28,8 +28,9 @@ from rrmctl.running.runfile import config_content
 from rrmctl.store.atomic import try_lock, write_table
 from rrmctl.store.curve import SETTINGS, table_of
 from rrmctl.store.layout import Layout, RunFolder
-from rrmctl.store.records import State, Status, SweepRecord, record_config, record_sweep, write_status
+from rrmctl.store.records import State, Status, record_config, write_status
 from rrmctl.store.schema import IDENTITY, MEASURED
+from rrmctl.store.sweeps import SweepRecord, record_sweep
 
 EXPERIMENTS = Path(__file__).parents[1] / "experiments"
 PROGRAM = (sys.executable, "-c", "from rrmctl.cli.app import main; main()")

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from rrmctl.planning.plan import Job, Plan
     from rrmctl.reports.contests import Contest, Contests
     from rrmctl.store.layout import Layout
-    from rrmctl.store.records import SweepRecord
+    from rrmctl.store.sweeps import SweepRecord
     from rrmctl.store.trials import Pairing, Trial
 
 #: Runs the jobs of a plan that are not done, and says how that ended.

@@ -15,7 +15,7 @@ from rrmctl.errors import Exit, UserError
 
 if TYPE_CHECKING:
     from rrmctl.store.layout import Layout
-    from rrmctl.store.records import JobRecord, SweepRecord
+    from rrmctl.store.sweeps import JobRecord, SweepRecord
 
 
 def finish(layout: Layout, code: Exit, sweeps: Sequence[SweepRecord], *, damaged: bool = False) -> None:

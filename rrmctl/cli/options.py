@@ -82,6 +82,29 @@ PriorOption = Annotated[
         help="Add the residual method on this prior to the experiment. Repeatable.",
     ),
 ]
+#: Silence after which a job counts as hung, minutes; a feedback session may take some.
+HANG_AFTER_MIN = 30.0
+
+WorkersOption = Annotated[
+    int | None,
+    typer.Option("--workers", "-j", min=1, help="Jobs at a time, one core each. Default: every core there is."),
+]
+MemoryOption = Annotated[
+    float | None,
+    typer.Option(
+        "--memory", min=0.1, metavar="GIB", help="A job that takes more is ended and goes on from its checkpoint."
+    ),
+]
+HangOption = Annotated[
+    float,
+    typer.Option(
+        "--hang-after",
+        min=0.01,
+        metavar="MINUTES",
+        help="A job that shows no progress for so long is ended and goes on from its checkpoint.",
+    ),
+]
+RetryOption = Annotated[bool, typer.Option("--retry-failed", help="Try failed runs again, from their checkpoint.")]
 UntilDecidedOption = Annotated[
     bool,
     typer.Option("--until-decided", help="Run seeds in groups until it is decided which methods differ; see above."),

@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING, Any
 from rrmctl.cli.request import duration
 
 if TYPE_CHECKING:
-    from rrmctl.store.records import JobRecord, Status, SweepRecord
+    from rrmctl.store.records import Status
+    from rrmctl.store.sweeps import JobRecord, SweepRecord
 
 #: States in the order in which they are shown.
 STATES = ("done", "running", "interrupted", "queued", "failed", "blocked", "unreadable")

@@ -14,7 +14,8 @@ if TYPE_CHECKING:
     from rrmctl.planning.cost import Estimate
     from rrmctl.planning.plan import Job, Plan
     from rrmctl.store.layout import Layout
-    from rrmctl.store.records import JobRecord, Status
+    from rrmctl.store.records import Status
+    from rrmctl.store.sweeps import JobRecord
 
 
 @dataclass(frozen=True)
@@ -90,7 +91,7 @@ def forecast(plan: Plan, layout: Layout) -> Forecast:
 
 def job_record(job: Job) -> JobRecord:
     """A job as the store records it."""
-    from rrmctl.store.records import JobRecord
+    from rrmctl.store.sweeps import JobRecord
 
     return JobRecord(
         id=job.id, cell=job.config.cell, task=job.task, method=job.method, teacher=job.teacher, feedback=job.feedback,

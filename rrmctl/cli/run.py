@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import sys
 from collections.abc import Iterable, Sequence
 from functools import partial
@@ -11,66 +10,45 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from rrmctl.cli.finish import finish
+from rrmctl.cli.introduction import LARGE_H, from_nothing, introduce
 from rrmctl.cli.leaving import resumable
 from rrmctl.cli.options import (
     DEFAULT_EXPERIMENTS,
     DEFAULT_RESULTS,
+    HANG_AFTER_MIN,
     AgainstOption,
     ExperimentArgument,
     ExperimentsOption,
     GroupOption,
+    HangOption,
     MaxSeedsOption,
+    MemoryOption,
     MethodsOption,
     PriorOption,
     ProfileOption,
     ResultsOption,
+    RetryOption,
     SeedsOption,
     SetOption,
     TasksOption,
     UntilDecidedOption,
+    WorkersOption,
 )
 from rrmctl.cli.progress import runs
-from rrmctl.cli.request import Request, forecast, in_words, job_record, smaller
+from rrmctl.cli.request import Request, forecast, job_record
 from rrmctl.cli.state import note_damage, show, status
 from rrmctl.errors import Exit, UserError
 
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from rrmctl.cli.request import Forecast
     from rrmctl.planning.plan import Job, Plan
     from rrmctl.running.pool import Assignment
     from rrmctl.store.layout import Layout
-    from rrmctl.store.records import JobRecord, Status, SweepRecord
+    from rrmctl.store.records import Status
+    from rrmctl.store.sweeps import JobRecord, SweepRecord
 
 __all__ = ["resume", "run", "show", "status"]
-
-#: Work above which a person at a terminal is asked first, core-hours.
-_LARGE_H = 1.0
-
-#: Silence after which a job counts as hung, minutes; a feedback session may take some.
-_HANG_AFTER_MIN = 30.0
-
-WorkersOption = Annotated[
-    int | None,
-    typer.Option("--workers", "-j", min=1, help="Jobs at a time, one core each. Default: every core there is."),
-]
-MemoryOption = Annotated[
-    float | None,
-    typer.Option(
-        "--memory", min=0.1, metavar="GIB", help="A job that takes more is ended and goes on from its checkpoint."
-    ),
-]
-HangOption = Annotated[
-    float,
-    typer.Option(
-        "--hang-after",
-        min=0.01,
-        metavar="MINUTES",
-        help="A job that shows no progress for so long is ended and goes on from its checkpoint.",
-    ),
-]
-RetryOption = Annotated[bool, typer.Option("--retry-failed", help="Try failed runs again, from their checkpoint.")]
 
 
 @resumable
@@ -84,7 +62,7 @@ def run(
     prior: PriorOption = None,
     workers: WorkersOption = None,
     memory: MemoryOption = None,
-    hang_after: HangOption = _HANG_AFTER_MIN,
+    hang_after: HangOption = HANG_AFTER_MIN,
     results: ResultsOption = DEFAULT_RESULTS,
     experiments: ExperimentsOption = DEFAULT_EXPERIMENTS,
     retry_failed: RetryOption = False,
@@ -120,7 +98,7 @@ def run(
     """
     from rrmctl.cli.deciding import asked_rules, until_decided
     from rrmctl.store.reader import new_results, statuses
-    from rrmctl.store.records import readable_sweeps
+    from rrmctl.store.sweeps import readable_sweeps
 
     console = _progress_console()
     rules = asked_rules(until, max_seeds, group, against, other=seeds is not None or force)
@@ -131,7 +109,7 @@ def run(
     note_damage(readable_sweeps(layout)[1])
     slots = workers or _default_slots(job.config.threads for job in plan.everything)
     expected = forecast(plan, layout)
-    _introduce(console, request, _from_nothing(expected) if force else expected, slots)
+    introduce(console, request, from_nothing(expected) if force else expected, slots)
     if rules:
         console.print(f"  note: at most; what is decided after a group of {rules.group} seeds runs no more of them")
     anew = {job.id for job in plan.jobs} if force else set()
@@ -148,7 +126,7 @@ def run(
         ]
         return _run(console, layout, assigned, slots, memory, hang_after), sweep
 
-    large = expected.hours_left > _LARGE_H and any(wanted(job, expected.states[job.id]) for job in plan.everything)
+    large = expected.hours_left > LARGE_H and any(wanted(job, expected.states[job.id]) for job in plan.everything)
     if large and not yes and _asks() and not typer.confirm("Start?", err=True):
         raise typer.Exit(Exit.INCOMPLETE)
     code, sweep = until_decided(layout, plan, rules, execute) if rules else execute(plan)
@@ -162,7 +140,7 @@ def resume(
     ] = None,
     workers: WorkersOption = None,
     memory: MemoryOption = None,
-    hang_after: HangOption = _HANG_AFTER_MIN,
+    hang_after: HangOption = HANG_AFTER_MIN,
     results: ResultsOption = DEFAULT_RESULTS,
     retry_failed: RetryOption = False,
 ) -> None:
@@ -171,7 +149,7 @@ def resume(
     The configurations recorded then are run, whatever the manifests say today.
     """
     from rrmctl.store.reader import find_sweeps, open_results, statuses
-    from rrmctl.store.records import readable_sweeps
+    from rrmctl.store.sweeps import readable_sweeps
 
     console = _progress_console()
     layout = open_results(results)
@@ -199,32 +177,6 @@ def _default_slots(threads: Iterable[int]) -> int:
     return max(1, usable_cores() // max(threads, default=1))
 
 
-def _from_nothing(expected: Forecast) -> Forecast:
-    """The forecast of a plan of which nothing has been run."""
-    from rrmctl.store.records import Status
-
-    return dataclasses.replace(expected, states=dict.fromkeys(expected.states, Status()))
-
-
-def _introduce(console: Console, request: Request, expected: Forecast, slots: int) -> None:
-    from rrmctl.machine import usable_cores
-    from rrmctl.planning.notes import notes
-
-    plan = expected.plan
-    done, failed = expected.count("done"), expected.count("failed")
-    there = f", {done} done already" if done else ""
-    there += f", {failed} failed" if failed else ""
-    more = f" and {len(plan.needed)} that they need" if plan.needed else ""
-    told = f"{plan.experiment} ({plan.variant}): {runs(len(plan.jobs))}{more}{there}."
-    console.print(told, style="bold", soft_wrap=True)
-    console.print(in_words(expected, slots), soft_wrap=True)
-    for line in notes(plan, usable_cores()):
-        console.print(f"  note: {line}", soft_wrap=True)
-    if expected.hours_left > _LARGE_H:
-        for line in smaller(request, plan):
-            console.print(f"  smaller: {line}", soft_wrap=True)
-
-
 def _is_open(status: Status, *, retry_failed: bool) -> bool:
     """True for a run that is to be worked on. One that is running elsewhere is: it may be given up there."""
     return status.state != "done" and (status.state not in ("failed", "blocked") or retry_failed)
@@ -233,7 +185,8 @@ def _is_open(status: Status, *, retry_failed: bool) -> bool:
 def _record(console: Console, layout: Layout, plan: Plan) -> SweepRecord:
     """Write down what was asked for, and return it: first every run's configuration, then the sweep that names them."""
     from rrmctl.running.runfile import config_content
-    from rrmctl.store.records import SweepRecord, read_sweep, record_config, record_sweep
+    from rrmctl.store.records import record_config
+    from rrmctl.store.sweeps import SweepRecord, read_sweep, record_sweep
 
     read_sweep(layout.sweep(plan.experiment, plan.variant))  # one that cannot be added to is refused first
     for job in plan.everything:

@@ -19,7 +19,8 @@ if TYPE_CHECKING:
     from rich.console import Console, RenderableType
 
     from rrmctl.store.layout import Layout, RunFolder
-    from rrmctl.store.records import Status, SweepRecord
+    from rrmctl.store.records import Status
+    from rrmctl.store.sweeps import SweepRecord
 
 #: Time between two looks of `status --watch`, seconds.
 _WATCH_S = 2.0
@@ -48,7 +49,7 @@ def status(
     A run is "interrupted" when its process stopped or died before its end; `rrmctl resume` goes on with it.
     """
     from rrmctl.store.reader import find_sweeps, open_results, statuses
-    from rrmctl.store.records import readable_sweeps
+    from rrmctl.store.sweeps import readable_sweeps
 
     layout = open_results(results)
     if name is None:
@@ -204,7 +205,7 @@ def show(
 def _sections(layout: Layout, folder: RunFolder, lines: int) -> list[tuple[str, str]]:
     from rrmctl.store.provenance import read_provenance
     from rrmctl.store.reader import log_tail, read_config, run_status
-    from rrmctl.store.records import readable_sweeps
+    from rrmctl.store.sweeps import readable_sweeps
 
     now = run_status(folder)
     sweeps, damage = readable_sweeps(layout)

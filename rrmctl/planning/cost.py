@@ -120,7 +120,8 @@ def stored_rates(layout: Layout, known: Mapping[str, Status] | None = None) -> d
         known: where some of the runs stand, by id, as read already.
     """
     from rrmctl.store.reader import statuses
-    from rrmctl.store.records import State, readable_sweeps
+    from rrmctl.store.records import State
+    from rrmctl.store.sweeps import readable_sweeps
 
     states = dict(known or {})
     speeds: dict[tuple[str, str, str], list[float]] = defaultdict(list)

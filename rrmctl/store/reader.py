@@ -15,8 +15,9 @@ from rrmctl.store import shape
 from rrmctl.store.atomic import DamagedError, StorageError, is_locked, read_json, unreadable
 from rrmctl.store.curve import decode
 from rrmctl.store.layout import Layout, RunFolder
-from rrmctl.store.records import ErrorKind, JobRecord, RunError, State, Status, SweepRecord, read_status, read_sweeps
+from rrmctl.store.records import ErrorKind, RunError, State, Status, read_status
 from rrmctl.store.schema import IDENTITY, LABELS, MEASURED, curve_schema
+from rrmctl.store.sweeps import JobRecord, SweepRecord, read_sweeps
 
 if TYPE_CHECKING:
     import pandas as pd

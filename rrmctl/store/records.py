@@ -1,30 +1,25 @@
-"""The small JSON records of the store: what a sweep asked for, and where a run stands."""
+"""The small JSON records of a run: what it is, and where it stands."""
 
 from __future__ import annotations
 
 import dataclasses
-import graphlib
 import os
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Mapping
+from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
 from typing import Any, Self
 
-from rrmctl.errors import UserError
 from rrmctl.store import shape
 from rrmctl.store.atomic import (
     PATIENCE_S,
     DamagedError,
-    StorageError,
-    locked,
     read_json,
-    remove_leftovers,
     set_aside,
     try_lock,
     write_json,
 )
-from rrmctl.store.layout import Layout, RunFolder
+from rrmctl.store.layout import RunFolder
 from rrmctl.store.schema import SCHEMA_VERSION
 
 
@@ -184,190 +179,3 @@ def record_config(folder: RunFolder, content: dict[str, Any]) -> str | None:
     if known != content:
         write_json(folder.config, content)
     return note
-
-
-@dataclass(frozen=True, kw_only=True)
-class JobRecord:
-    """One planned job: which run it is, and what it is called in its experiment."""
-
-    id: str
-    cell: str
-    task: str
-    method: str
-    teacher: str
-    feedback: str
-    seed: int
-    steps: int
-    requires: tuple[str, ...] = ()  #: ids of the runs that must be done before it
-
-    @property
-    def label(self) -> str:
-        """For people: task, method, teacher and feedback where they say something, seed."""
-        words = [
-            self.task,
-            self.method,
-            *(w for w in (self.teacher, self.feedback) if w not in ("", "-")),
-            f"seed {self.seed}",
-        ]
-        return " ".join(words)
-
-
-@dataclass(frozen=True, kw_only=True)
-class SweepRecord:
-    """What `run` was asked for: one variant (profile and overrides) of an experiment."""
-
-    experiment: str
-    variant: str
-    profile: str
-    overrides: dict[str, Any] = field(default_factory=dict)
-    jobs: tuple[JobRecord, ...] = ()
-    needed: tuple[JobRecord, ...] = ()  #: runs that jobs need; nothing reports them, and some may be jobs as well
-
-    @property
-    def everything(self) -> tuple[JobRecord, ...]:
-        """Every run, those that are only needed first; one that several rows share is there for each of them."""
-        return (*self.merely_needed, *self.jobs)
-
-    @property
-    def merely_needed(self) -> tuple[JobRecord, ...]:
-        """Runs that jobs need and that are no jobs themselves."""
-        asked = {job.id for job in self.jobs}
-        return tuple(job for job in self.needed if job.id not in asked)
-
-    def union(self, other: SweepRecord) -> SweepRecord:
-        """With the jobs of another record of the same variant, in order of first appearance."""
-        jobs, needed = (dict.fromkeys(both) for both in ((*self.jobs, *other.jobs), (*self.needed, *other.needed)))
-        return dataclasses.replace(self, jobs=tuple(jobs), needed=tuple(needed))
-
-    def to_json(self) -> dict[str, Any]:
-        """A JSON object; `from_json` is the inverse."""
-        return {"schema_version": SCHEMA_VERSION, **dataclasses.asdict(self)}
-
-    @classmethod
-    def from_json(cls, value: dict[str, Any], path: Path) -> Self:
-        """The record read from `path`.
-
-        Raises:
-            VersionError: it is of another schema version.
-            DamagedError: it lacks or mistakes a field, or is another sweep's: files are named after what it says.
-        """
-        content, hint = dict(value), _sweep_hint(path)
-        shape.check_version(content, path, hint)
-        shape.check(content, _SWEEP, path, hint)
-        if (content["experiment"], content["variant"]) != (path.parent.name, path.stem):
-            told = f"{content['experiment']!r} ({content['variant']!r})"
-            raise DamagedError(f"{path} is damaged: it is the record of {told}", hint)
-        try:
-            jobs, needed = (_jobs(content.pop(name, []), name, path) for name in ("jobs", "needed"))
-            _check_order((*jobs, *needed), path)
-            return cls(**content, jobs=jobs, needed=needed)
-        except TypeError as problem:  # a field nobody knows
-            raise DamagedError(f"{path} is damaged: {problem}", hint) from problem
-
-
-_SWEEP = {
-    **dict.fromkeys(("experiment", "variant", "profile"), shape.TEXT),
-    "overrides": shape.OBJECT,
-    "jobs": shape.LIST,
-}
-
-_JOB = dict.fromkeys(("id", "cell", "task", "method", "teacher", "feedback"), shape.TEXT) | dict.fromkeys(
-    ("seed", "steps"), shape.WHOLE
-)
-
-
-def _jobs(values: Any, name: str, path: Path) -> tuple[JobRecord, ...]:
-    shape.check({name: values}, {name: shape.LIST}, path, _sweep_hint(path))
-    return tuple(_job(value, f"{name}[{number}]", path) for number, value in enumerate(values))
-
-
-def _job(value: Any, where: str, path: Path) -> JobRecord:
-    hint = _sweep_hint(path)
-    shape.check({where: value}, {where: shape.OBJECT}, path, hint)
-    shape.check(value, _JOB, path, hint, f"{where}.")
-    shape.check_run_id(value["id"], path, hint, f"{where}.id")
-    requires = value.get("requires", [])
-    shape.check({f"{where}.requires": requires}, {f"{where}.requires": shape.LIST}, path, hint)
-    for run in requires:
-        shape.check({f"{where}.requires": run}, {f"{where}.requires": shape.TEXT}, path, hint)
-        shape.check_run_id(run, path, hint, f"{where}.requires")
-    return JobRecord(**{**value, "requires": tuple(requires)})
-
-
-def _check_order(jobs: Sequence[JobRecord], path: Path) -> None:
-    requires = {job.id: job.requires for job in jobs if job.requires}
-    try:
-        graphlib.TopologicalSorter(requires).prepare()
-    except graphlib.CycleError as problem:
-        circle = ", ".join(problem.args[1])
-        raise DamagedError(
-            f"{path} is damaged: runs need each other in a circle: {circle}", _sweep_hint(path)
-        ) from None
-
-
-def _sweep_hint(path: Path) -> str:
-    return (
-        f"move it away; the `rrmctl run {path.parent.name} ...` that made it makes it again, and trains nothing twice"
-    )
-
-
-def read_sweeps(layout: Layout, experiment: str | None = None) -> list[SweepRecord]:
-    """All variants of an experiment, or of all experiments, sorted by experiment and variant.
-
-    Raises:
-        UserError: a record is damaged, cannot be read now, or is of another schema version.
-    """
-    sweeps, damage = readable_sweeps(layout, experiment)
-    if damage:
-        raise damage[0]
-    return sweeps
-
-
-def readable_sweeps(layout: Layout, experiment: str | None = None) -> tuple[list[SweepRecord], list[UserError]]:
-    """Like `read_sweeps`, for those who can go on without a damaged record: what could be read, and what could not.
-
-    Raises:
-        VersionError: a record is of another schema version; so is what belongs to it, then.
-    """
-    experiments = layout.experiments() if experiment is None else [experiment]
-    sweeps: list[SweepRecord] = []
-    damage: list[UserError] = []
-    for path in (file for name in experiments for file in layout.sweep_files(name)):
-        try:
-            sweep = read_sweep(path)
-        except (DamagedError, StorageError) as error:
-            damage.append(error)
-            continue
-        if sweep is not None:  # not removed since the folder was listed
-            sweeps.append(sweep)
-    return sweeps, damage
-
-
-def read_sweep(path: Path) -> SweepRecord | None:
-    """The record in this file; None where there is none.
-
-    Raises:
-        UserError: it is damaged, cannot be read now, or is of another schema version.
-    """
-    try:
-        value = read_json(path)
-    except DamagedError as error:
-        raise DamagedError(str(error), _sweep_hint(path)) from error
-    return None if value is None else SweepRecord.from_json(value, path)
-
-
-def record_sweep(layout: Layout, asked: SweepRecord) -> SweepRecord:
-    """Add what was asked for to the sweep's record, and return the union. Any number of processes may do so at once.
-
-    Raises:
-        StorageError: the results folder takes no write.
-        DamagedError, VersionError: the record that is there is damaged, or of another version.
-    """
-    path = layout.sweep(asked.experiment, asked.variant)
-    with locked(layout.sweep_lock(asked.experiment)):
-        remove_leftovers(path.parent)
-        known = read_sweep(path)
-        union = (known or asked).union(asked)
-        if union != known:
-            write_json(path, union.to_json())
-    return union

@@ -14,7 +14,8 @@ import pytest
 from rrmctl.store import load, planned
 from rrmctl.store.layout import Layout
 from rrmctl.store.reader import run_status
-from rrmctl.store.records import State, read_sweeps
+from rrmctl.store.records import State
+from rrmctl.store.sweeps import read_sweeps
 from tests.rrmctl.cli.test_run import EXPERIMENTS, call, numbers, start
 
 TOY = [

@@ -5,7 +5,8 @@ from __future__ import annotations
 import pytest
 
 from rrmctl.cli.progress import Group, errors, group_by_row, group_by_sweep, speeds
-from rrmctl.store.records import ErrorKind, JobRecord, RunError, State, Status, SweepRecord
+from rrmctl.store.records import ErrorKind, RunError, State, Status
+from rrmctl.store.sweeps import JobRecord, SweepRecord
 
 
 def job(run: str, method: str = "pebble", seed: int = 0) -> JobRecord:

@@ -16,6 +16,7 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner, Result
 
+from rrmctl.cli import introduction
 from rrmctl.cli import run as run_command
 from rrmctl.cli.app import app
 from rrmctl.cli.request import Request, forecast
@@ -23,8 +24,9 @@ from rrmctl.store import load, planned
 from rrmctl.store.atomic import try_lock
 from rrmctl.store.layout import Layout
 from rrmctl.store.reader import run_status
-from rrmctl.store.records import ErrorKind, RunError, State, Status, read_status, read_sweeps, write_status
+from rrmctl.store.records import ErrorKind, RunError, State, Status, read_status, write_status
 from rrmctl.store.schema import TIMINGS
+from rrmctl.store.sweeps import read_sweeps
 from rrmctl.store.writer import CurveWriter
 from tests.rrmctl.running.standin import prepare, row
 
@@ -63,9 +65,9 @@ def test_the_introduction_bears_profiles_that_cannot_hold_the_request(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """`run` advises on a large sweep without stumbling over other profiles, and notes a budget too large to spend."""
-    monkeypatch.setattr(run_command, "_LARGE_H", 0.0)
+    monkeypatch.setattr(introduction, "LARGE_H", 0.0)
     request = Request("toy-car", EXPERIMENTS, "smoke", overrides=["steps=450", "feedback.budget=1000000"])
-    run_command._introduce(
+    introduction.introduce(
         run_command._progress_console(), request, forecast(request.plan(), Layout(tmp_path)), slots=1
     )
     said = capsys.readouterr().err

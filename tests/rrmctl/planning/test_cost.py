@@ -13,7 +13,8 @@ from rrmctl.planning import manifest
 from rrmctl.planning.cost import estimate, measure_gemm, model_seconds, stored_rates
 from rrmctl.planning.plan import Plan, make_plan
 from rrmctl.store.layout import Layout
-from rrmctl.store.records import State, Status, SweepRecord, record_sweep, write_status
+from rrmctl.store.records import State, Status, write_status
+from rrmctl.store.sweeps import SweepRecord, record_sweep
 
 GIGA = 1e9
 

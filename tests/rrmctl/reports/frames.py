@@ -11,8 +11,9 @@ from rrmctl.store.atomic import write_json, write_table
 from rrmctl.store.curve import SETTINGS, table_of
 from rrmctl.store.layout import Layout
 from rrmctl.store.reader import PLANNED
-from rrmctl.store.records import JobRecord, State, Status, SweepRecord, record_sweep, write_status
+from rrmctl.store.records import State, Status, write_status
 from rrmctl.store.schema import IDENTITY, MEASURED
+from rrmctl.store.sweeps import JobRecord, SweepRecord, record_sweep
 
 #: Success of each seed at steps 100, 200, 300, 400; the true return is a thousand times that.
 RISING = {

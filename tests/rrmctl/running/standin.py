@@ -24,10 +24,12 @@ from rrm.errors import PriorError
 from rrm.training.config import RunConfig
 from rrm.types import EvalRow
 from rrmctl.running import lifeline, worker
+from rrmctl.running.monitor import RunMonitor
 from rrmctl.running.pool import Assignment
 from rrmctl.running.runfile import config_content
 from rrmctl.store.layout import Layout
-from rrmctl.store.records import JobRecord, SweepRecord, record_config, record_sweep
+from rrmctl.store.records import record_config
+from rrmctl.store.sweeps import JobRecord, SweepRecord, record_sweep
 
 COMMAND = (sys.executable, __file__)
 STEP_S = 0.002
@@ -76,7 +78,7 @@ class Trainer:
     def fingerprint(self, config: RunConfig) -> dict[str, str]:
         return {"toy-car": os.environ.get("STANDIN_WORLD", "1")}
 
-    def perform(self, config: RunConfig, folder: Path, monitor: worker.RunMonitor, results: dict[str, Path]) -> bool:
+    def perform(self, config: RunConfig, folder: Path, monitor: RunMonitor, results: dict[str, Path]) -> bool:
         behaviours = json.loads(os.environ.get("STANDIN", "{}"))
         behaviour = behaviours.get(str(config.seed), behaviours.get("other", "train"))
         checkpoint = folder / "checkpoint" / "step"
@@ -109,7 +111,7 @@ def save(path: Path, step: int) -> None:
     path.with_suffix(".tmp").replace(path)
 
 
-def misbehave(behaviour: str, folder: Path, monitor: worker.RunMonitor) -> None:
+def misbehave(behaviour: str, folder: Path, monitor: RunMonitor) -> None:
     first = not (folder / "misbehaved").exists()
     (folder / "misbehaved").touch()
     match behaviour:

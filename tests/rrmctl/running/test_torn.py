@@ -12,8 +12,9 @@ import pytest
 from rrm.config import AgentConfig, EvaluationConfig, ExplorationConfig, FeedbackConfig, RewardConfig
 from rrm.training import jobs
 from rrm.training.config import RunConfig
+from rrmctl.running.monitor import RunMonitor
 from rrmctl.running.runfile import config_content
-from rrmctl.running.worker import RunMonitor, WorkerExit, main
+from rrmctl.running.worker import WorkerExit, main
 from rrmctl.store.layout import Layout, RunFolder
 from rrmctl.store.reader import read_curve
 from rrmctl.store.records import record_config

@@ -11,17 +11,8 @@ import pytest
 from rrmctl.store.atomic import DamagedError
 from rrmctl.store.layout import Layout
 from rrmctl.store.reader import planned, statuses
-from rrmctl.store.records import (
-    ErrorKind,
-    JobRecord,
-    RunError,
-    State,
-    Status,
-    SweepRecord,
-    read_sweeps,
-    record_sweep,
-    write_status,
-)
+from rrmctl.store.records import ErrorKind, RunError, State, Status, write_status
+from rrmctl.store.sweeps import JobRecord, SweepRecord, read_sweeps, record_sweep
 
 ERROR = RunError(kind=ErrorKind.REFUSED, type="DemosError", message="the expert fails")
 

@@ -23,20 +23,16 @@ from rrmctl.store.provenance import record as record_provenance
 from rrmctl.store.reader import find_run, find_sweeps, log_tail, read_config, run_status
 from rrmctl.store.records import (
     ErrorKind,
-    JobRecord,
     RunError,
     State,
     Status,
-    SweepRecord,
     read_status,
-    read_sweeps,
-    readable_sweeps,
     record_config,
     record_failure,
-    record_sweep,
     write_status,
 )
 from rrmctl.store.schema import LABELS, MEASURED
+from rrmctl.store.sweeps import JobRecord, SweepRecord, read_sweeps, readable_sweeps, record_sweep
 from rrmctl.store.trials import Trial, begin_trial, read_trial
 from rrmctl.store.writer import CurveWriter
 from tests.rrmctl.running.standin import prepare, row

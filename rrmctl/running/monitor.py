@@ -1,0 +1,93 @@
+"""Where a job at work reports to: rows go into the curve, progress into the status file and up the pipe."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import time
+from collections.abc import Sequence
+from contextlib import AbstractContextManager
+from typing import TYPE_CHECKING, Any
+
+from rrmctl.running.lifeline import Pipe, StopRequest, say
+from rrmctl.store.lease import Lease
+from rrmctl.store.records import State, Status, write_status
+from rrmctl.store.writer import CurveWriter
+
+if TYPE_CHECKING:
+    from rrm.types import EvalRow
+
+#: How often `status.json` is renewed between evaluations, seconds. Each time costs a flush to disk.
+HEARTBEAT_S = 5.0
+
+
+class RunMonitor:
+    """Where a trainer reports to: rows into the curve, progress into the status file and up the pipe."""
+
+    def __init__(self, lease: Lease, status: Status, curve: CurveWriter, pipe: Pipe, stop: StopRequest) -> None:
+        self._lease = lease
+        self.status = status  #: as last known, not always as last written
+        self._curve = curve
+        self._pipe = pipe
+        self._stop = stop
+        self._written = time.monotonic()
+
+    def restored(self, rows: Sequence[EvalRow]) -> None:
+        """Bring back evaluations that the curve has lost."""
+        lost = [row for row in rows if row.step not in self._curve]
+        if lost:
+            self.note(f"{len(lost)} evaluations that {self._lease.folder.curve.name} lacks come from the checkpoint")
+            with self.writing():
+                self._curve.add(*map(dataclasses.asdict, lost))
+
+    def row(self, row: EvalRow) -> None:
+        """Add an evaluation to the curve; it is on disk when this returns."""
+        values = dataclasses.asdict(row)
+        with self.writing():
+            self._curve.add(values)
+        shown = {name: _finite(values[name]) for name in ("success", "true_return", "wall_s")}
+        self._update(rows=len(self._curve), step=row.step, steps_per_s=_finite(row.steps_per_s), **shown)
+        self._write()
+        self._pipe.send(event="row", step=row.step, success=shown["success"], true_return=shown["true_return"])
+
+    def beat(self, step: int, steps_per_s: float) -> None:
+        """Show a sign of life."""
+        self._update(step=step, steps_per_s=_finite(steps_per_s))
+        self._pipe.beat(step, steps_per_s)
+        if time.monotonic() - self._written >= HEARTBEAT_S:
+            self._write()
+
+    def note(self, message: str) -> None:
+        """Tell a person, in the log and at the terminal."""
+        self._pipe.note(message)
+
+    def log(self, message: str) -> None:
+        """Write a line into the log."""
+        say(f"--- {message}")
+
+    def should_stop(self) -> bool:
+        """True when the run should be checkpointed and left."""
+        return self._stop.requested
+
+    def writing(self) -> AbstractContextManager[None]:
+        """Around every write into the run's folder."""
+        return self._lease.writing()
+
+    def close(self, state: State) -> None:
+        """Record how the attempt ended."""
+        self._update(state=state)
+        self._write()
+        say(f"--- {state} at step {self.status.step}")
+
+    def _update(self, **changes: Any) -> None:
+        self.status = dataclasses.replace(self.status, **changes, heartbeat=time.time())
+
+    def _write(self) -> None:
+        with self.writing():
+            write_status(self._lease.folder, self.status)
+        self._written = time.monotonic()
+
+
+def _finite(value: float) -> float | None:
+    """JSON has no NaN: a value that does not exist is null."""
+    return value if math.isfinite(value) else None
