@@ -2,7 +2,8 @@
 
     python -m tests.soak --minutes 20 [--seed 0] [--sweep "toy-car --profile smoke --seeds 2"]...
 
-Each sweep first runs undisturbed. It is then run again and again in a folder of its own under random faults, and must
+First a hundred jobs of a second run under twenty workers, of which one is killed every second, and what that cost is
+told. Then each sweep first runs undisturbed. It is then run again and again in a folder of its own under random faults, and must
 end with the same evaluations and networks, bit for bit. Exit code 1 where anything was lost or differs.
 """
 
@@ -19,6 +20,7 @@ from collections import Counter
 from pathlib import Path
 
 from tests.soak.attack import attacked, compared
+from tests.soak.storm import Storm
 from tests.soak.sweep import Sweep
 
 #: Many short runs, evaluated and checkpointed several times a second.
@@ -42,6 +44,8 @@ def main() -> int:
     given = parser.parse_args()
     seed = random.SystemRandom().randrange(2**32) if given.seed is None else given.seed
     print(f"faults from seed {seed}")
+    if not given.once:
+        print(storm(), flush=True)
     until = time.monotonic() + 60 * given.minutes
     totals: Counter[str] = Counter()
     with tempfile.TemporaryDirectory(prefix="rrmctl-soak-") as folder:
@@ -64,6 +68,14 @@ def main() -> int:
         f"{turn} sweeps, {totals['jobs']} jobs, {totals['kills']} processes killed, {resumes} resumes: {told(totals)}"
     )
     return int(any(totals[name] for name in NEVER))
+
+
+def storm() -> str:
+    """A hundred jobs of a second, in one line."""
+    with tempfile.TemporaryDirectory(prefix="rrmctl-storm-") as folder:
+        found = Storm(Path(folder), jobs=100, steps=500)
+        found.survive()
+        return found.told()
 
 
 def told(found: Counter[str]) -> str:
