@@ -3,7 +3,7 @@
     python -m tests.soak --minutes 20 [--seed 0] [--sweep "toy-car --profile smoke --seeds 2"]...
 
 First a hundred jobs of a second run under twenty workers, of which one is killed every second, and what that cost is
-told. Then each sweep first runs undisturbed. It is then run again and again in a folder of its own under random faults, and must
+told. Then each sweep first runs undisturbed, and again and again in a folder of its own under random faults: it must
 end with the same evaluations and networks, bit for bit. Exit code 1 where anything was lost or differs.
 """
 
