@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import signal
 import re
 from typing import Annotated, Any
 
@@ -112,4 +113,8 @@ app.add_typer(demos.demos_app, name="demos")
 
 def main() -> None:
     """The `rrmctl` program."""
-    app()
+    try:
+        app()
+    finally:  # how it ended is decided: a request to stop while Python winds up must not change the exit code
+        for number in (signal.SIGTERM, signal.SIGINT):
+            signal.signal(number, signal.SIG_IGN)

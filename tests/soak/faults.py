@@ -19,8 +19,9 @@ Fault = Callable[["Arena"], None]
 
 #: Time a program has to leave in good order, seconds: its workers have a minute to checkpoint, a frozen one uses it.
 LEAVE_S = 90.0
-#: A signal this soon after the start may meet Python itself, which ends there and then: nothing was begun.
-STARTING_S = 4.0
+#: A signal this soon after the start may meet Python itself, which ends there and then: nothing was begun. Starting
+#: takes a fraction of a second, and much longer where thirty processes share two cores.
+STARTING_S = 10.0
 #: How long a worker is frozen, seconds: longer than a lease.
 FROZEN_S = 40.0
 #: Exit codes of a program that was asked to leave: all was done already, or there is more to do.
