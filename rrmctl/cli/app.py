@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import contextlib
 import errno
-import signal
 import re
+import signal
 from typing import Annotated, Any
 
 import typer

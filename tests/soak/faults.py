@@ -7,6 +7,7 @@ import os
 import random
 import signal
 import subprocess
+import sys
 import time
 from collections import Counter
 from collections.abc import Callable
@@ -85,16 +86,17 @@ def kill_everything(arena: Arena) -> None:
 
 
 def terminate(arena: Arena) -> None:
-    """SIGTERM or SIGINT: every worker checkpoints, and the program leaves with the code for "incomplete".
-
-    Raises:
-        AssertionError: it takes too long, or leaves with another code.
-    """
+    """SIGTERM or SIGINT: every worker checkpoints, and the program leaves in time with the code for "incomplete"."""
     program = arena.any_program()
     starts = time.monotonic() - arena.programs[program] < STARTING_S
     program.send_signal(arena.rng.choice((signal.SIGTERM, signal.SIGINT)))
-    code = program.wait(LEAVE_S)
-    assert code in LEFT or (starts and code in (130, 1, -signal.SIGTERM, -signal.SIGINT)), f"left with {code}"
+    try:
+        code = program.wait(LEAVE_S)
+    except subprocess.TimeoutExpired:
+        code = None
+    if code not in LEFT and not (starts and code in (130, 1, -signal.SIGTERM, -signal.SIGINT)):
+        arena.found["wrong ends"] += 1
+        sys.stderr.write(f"after a request to stop a program left with {code}\n")
 
 
 def pause(arena: Arena) -> None:
