@@ -140,7 +140,7 @@ def test_an_owner_stopped_in_a_write_is_asked_after_once_a_lease(tmp_path: Path)
 
 def test_a_parent_that_was_stopped_with_its_worker_does_not_blame_it(tmp_path: Path) -> None:
     """Both stand still for longer than a hang takes, and the parent wakes first: the attempt goes on."""
-    script = PARENT.replace("lease_s=lease_s", "hang_after_s=6.0")
+    script = PARENT.replace("lease_s=lease_s", "hang_after_s=15.0")
     layout, assigned = prepare(tmp_path, range(1), 3000)
     folder = layout.run(assigned[0].id)
     command = [sys.executable, "-c", script, str(tmp_path), "1", "1", "3000", "30"]
@@ -151,7 +151,7 @@ def test_a_parent_that_was_stopped_with_its_worker_does_not_blame_it(tmp_path: P
             assert worker is not None
             for each in (process.pid, worker):
                 os.kill(each, signal.SIGSTOP)
-            time.sleep(9.0)
+            time.sleep(18.0)
             for each in (process.pid, worker):
                 os.kill(each, signal.SIGCONT)
                 time.sleep(1.0)
