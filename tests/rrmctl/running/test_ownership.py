@@ -89,11 +89,11 @@ def test_a_worker_that_waits_for_a_write_is_not_hung(tmp_path: Path) -> None:
 
     def hold() -> None:
         with stopped_in_a_write(folder):
-            time.sleep(12.0)
+            time.sleep(20.0)
 
     with meanwhile(hold):
         until(lambda: is_locked(folder.guard))
-        assert pool(layout, assigned, watcher, hang_after_s=6.0).run() is Exit.DONE
+        assert pool(layout, assigned, watcher, hang_after_s=15.0).run() is Exit.DONE
     assert watcher.errors == []
     assert attempts(layout, assigned) == [1]
 

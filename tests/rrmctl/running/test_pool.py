@@ -249,7 +249,7 @@ def test_a_silent_worker_is_ended(tmp_path: Path, behave: Callable[..., None]) -
     behave(s0="hang")
     layout, assigned = prepare(tmp_path, range(2))
     watcher = Record()
-    assert pool(layout, assigned, watcher, hang_after_s=4.0, retries=0).run() is Exit.FAILED
+    assert pool(layout, assigned, watcher, hang_after_s=12.0, retries=0).run() is Exit.FAILED
     assert states(layout, assigned) == [State.FAILED, State.DONE]
     assert {"Hung: gave no sign of life and was ended"} == set(watcher.errors)
 
