@@ -382,23 +382,24 @@ def children(pid: int) -> list[int]:
 
 
 @pytest.mark.slow
-def test_four_parents_of_which_one_is_killed_and_one_is_stopped(tmp_path: Path) -> None:
+def test_four_parents_of_which_one_is_killed_and_one_is_stopped(tmp_path: Path, behave: Callable[..., None]) -> None:
     """One with its workers, and another's workers for longer than a lease: the others end all jobs, none twice."""
-    jobs, steps = 12, 1000
+    behave(other="gate")
+    jobs, steps = 12, 100
+    layout, assigned = prepare(tmp_path, range(jobs), steps)
     with contextlib.ExitStack() as stack:
         parents = [stack.enter_context(parent(tmp_path, jobs, 2, steps, lease_s=3)) for _ in range(4)]
-        until(lambda: all(len(children(each.pid)) == 2 for each in parents))
-        until(lambda: len(list(tmp_path.glob("runs/*/curve.parquet"))) == 8)
+        until(lambda: len(list(tmp_path.glob("runs/*/misbehaved"))) == 8)
         victims, sleepers = (children(each.pid) for each in parents[:2])
         for pid in sleepers:
             stop_between_writes(pid)
         for pid in (parents[0].pid, *victims):
             os.kill(pid, signal.SIGKILL)
+        go(layout)
         assert [each.wait(120) for each in parents[2:]] == [0, 0]
         for pid in sleepers:
             os.kill(pid, signal.SIGCONT)
         assert parents[1].wait(60) == 0
-    layout, assigned = prepare(tmp_path, range(jobs), steps)
     assert rows(tmp_path) == expected(range(jobs), steps)
     assert sum(attempts(layout, assigned)) <= jobs + 4
     for job in assigned:
