@@ -62,10 +62,12 @@ def statuses(layout: Layout, jobs: Iterable[Requiring]) -> dict[str, Status]:
     requires = {job.id: job.requires for job in jobs}
     found = {run: run_status(layout.run(run)) for run in requires}
 
-    def look(run: str) -> Status:
+    def look(run: str, above: frozenset[str] = frozenset()) -> Status:
         status = found[run]
         if status.state in _WAITING:
-            causes = ((each, look(each)) for each in requires[run] if each in found)
+            # Records that were put together by hand may need each other in a circle.
+            needed = (each for each in requires[run] if each in found and each not in above)
+            causes = ((each, look(each, above | {run})) for each in needed)
             for each, cause in causes:
                 if cause.state in (State.FAILED, State.BLOCKED):
                     found[run] = dataclasses.replace(status, state=State.BLOCKED, error=blocked_by(each, cause.error))

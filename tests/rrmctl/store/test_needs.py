@@ -83,3 +83,9 @@ def test_what_needs_a_failed_run_is_blocked(tmp_path: Path) -> None:
     assert {str(status.state) for status in statuses(layout, record.everything).values()} == {
         "done", "interrupted", "queued"
     }  # fmt: skip
+
+
+def test_runs_that_need_each_other_in_a_circle_wait(tmp_path: Path) -> None:
+    """Two records put together by hand can say so, which neither does alone; looking at them ends."""
+    states = statuses(Layout(tmp_path), (job("a", "b"), job("b", "a")))
+    assert {status.state for status in states.values()} == {State.QUEUED}
