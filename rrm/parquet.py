@@ -57,9 +57,10 @@ def encode(table: pa.Table, before: bytes = b"", **settings: Any) -> bytes:
         settings: of `pyarrow.parquet.ParquetWriter`.
     """
     kept = _kept(before)
-    pages, _ = _encode_at(len(_MAGIC), table, kept, settings)
+    pages, footer = _encode_at(len(_MAGIC), table, kept, settings)
     start = _gap(kept, len(pages))
-    pages, footer = _encode_at(start, table, kept, settings)
+    if start != len(_MAGIC):  # its size was not known before
+        pages, footer = _encode_at(start, table, kept, settings)
     data = bytearray(max([start + len(pages), *(each.end for each in kept)]))
     for each in kept:
         data[each.start : each.end] = before[each.start : each.end]

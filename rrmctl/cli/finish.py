@@ -88,4 +88,4 @@ def _aggregate(layout: Layout, names: Iterable[str]) -> None:
         try:
             aggregates.write(layout, read_sections(layout.root, name))
         except (UserError, RrmError) as error:
-            tell(f"note: aggregates/{name}.parquet was not written: {error}")
+            tell(f"note: aggregates/{name}.parquet was not written: {error}", err=True)

@@ -36,6 +36,7 @@ from rrmctl.cli.options import (
 )
 from rrmctl.cli.progress import runs
 from rrmctl.cli.request import Request, forecast, job_record
+from rrmctl.cli.screen import drain, unfailing
 from rrmctl.cli.state import note_damage, show, status
 from rrmctl.errors import Exit, UserError
 
@@ -126,10 +127,12 @@ def run(
         ]
         return _run(console, layout, assigned, slots, memory, hang_after), sweep
 
+    drain(console.file)
     large = expected.hours_left > LARGE_H and any(wanted(job, expected.states[job.id]) for job in plan.everything)
     if large and not yes and _asks() and not typer.confirm("Start?", err=True):
         raise typer.Exit(Exit.INCOMPLETE)
     code, sweep = until_decided(layout, plan, rules, execute) if rules else execute(plan)
+    drain(console.file)
     finish(layout, code, [sweep])
 
 
@@ -167,6 +170,7 @@ def resume(
     assigned = [_assignment(job, states[job.id], _threads(layout, job), fresh=False) for job in chosen]
     slots = workers or _default_slots(job.threads for job in assigned)
     code = _run(console, layout, assigned, slots, memory, hang_after)
+    drain(console.file)
     finish(layout, code, sweeps, damaged=bool(damage))
 
 
@@ -247,8 +251,6 @@ def _run(
 
 def _progress_console() -> Console:
     from rich.console import Console
-
-    from rrmctl.cli.screen import unfailing
 
     return Console(file=unfailing(sys.stderr), highlight=False, markup=False, emoji=False)
 

@@ -76,10 +76,16 @@ def unfailing(stream: TextIO) -> TextIO:
         return stream
 
 
-def tell(text: str) -> None:
-    """A line on standard output, which is given up where it takes none."""
+def drain(stream: object) -> None:
+    """Before something is written elsewhere that should stand below: wait for a `Screen`; others do not keep back."""
+    if isinstance(stream, Screen):
+        stream.drain()
+
+
+def tell(text: str, *, err: bool = False) -> None:
+    """A line on standard output, or error, which is given up where it takes none."""
     try:
-        typer.echo(text)
+        typer.echo(text, err=err)
     except OSError:
         with contextlib.suppress(OSError, ValueError):
-            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+            os.dup2(os.open(os.devnull, os.O_WRONLY), (sys.stderr if err else sys.stdout).fileno())
