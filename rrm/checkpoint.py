@@ -24,7 +24,7 @@ from rrm.files import naming, sync_folder, write_atomically
 from rrm.types import State
 
 #: Of the layout written here; another version is refused with its number.
-FORMAT = 2
+FORMAT = 3
 KEPT = 2  #: newest checkpoints that stay
 _TREE = "tree"  # entry of the header
 _BLOCK = 1 << 22  # bytes of a log in memory while it is read back

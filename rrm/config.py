@@ -36,6 +36,7 @@ class Section(BaseModel):
 class AgentConfig(Section):
     """SAC (appendix, table of SAC hyper-parameters; what that table leaves open follows B-Pref)."""
 
+    kind: Literal["sac"] = "sac"  #: its name in `rrm.agents.AGENTS`
     hidden: Count = 256  #: units of each hidden layer, actor and critic
     layers: Count = 3  #: hidden layers
     batch: Count = 512  #: transitions per update

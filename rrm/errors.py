@@ -48,3 +48,7 @@ class CheckpointError(RrmError):
 
 class NumericalError(RrmError):
     """A reward, action or loss that is not finite."""
+
+
+class WaitingError(Exception):
+    """Not a mistake: a run cannot go on before what it waits for has come from outside; the message says what."""

@@ -14,7 +14,7 @@ from typing import Any, Protocol
 import torch
 
 from rrm.checkpoint import KEPT, Checkpoints, check_finite, encode
-from rrm.errors import NumericalError, PriorError
+from rrm.errors import NumericalError, PriorError, WaitingError
 from rrm.files import make_folder, write_atomically
 from rrm.training.build import DEMOS, Results, result_of
 from rrm.training.config import RunConfig
@@ -111,6 +111,7 @@ def train(
         True when the run is finished; False when it was told to stop and can be continued.
 
     Raises:
+        WaitingError: it cannot go on before something has come from outside; it is checkpointed.
         RrmError: what the run was given cannot be run (a prior that fails, numbers that are not finite).
         OSError: a checkpoint could not be written; the ones before are intact.
     """
@@ -123,10 +124,10 @@ def train(
     try:
         finished = _Session(trainer, checkpoints, monitor, checkpoint_every_s).run()
         if finished:
-            networks = trainer.networks()
+            left = trainer.legacy()
             with monitor.writing():
-                write_atomically(folder / "model.safetensors", encode(networks))
-            _tell(networks["imitation"], monitor)
+                write_atomically(folder / "model.safetensors", encode(left))
+            _tell(left.get("imitation"), monitor)
     finally:
         trainer.close()
     if finished:
@@ -194,6 +195,9 @@ class _Session:
             step = self.trainer.step
             where = "" if f"step {step}" in str(error) else f"at step {step:,}; "
             raise type(error)(f"{error} ({where}{last})") from error
+        except WaitingError:
+            self._save()
+            raise
 
     def _run(self) -> bool:
         trainer, config = self.trainer, self.trainer.config
@@ -202,10 +206,8 @@ class _Session:
             trainer.advance()
             if trainer.step % config.evaluation.every == 0 or trainer.step == config.steps:
                 self.monitor.row(trainer.evaluate())
-                self._log_figures()
-                if trainer.imitation is not None:
-                    with self.monitor.writing():
-                        trainer.imitation.publish(self.checkpoints.folder.parent)
+                with self.monitor.writing():
+                    trainer.publish(self.checkpoints.folder.parent)
                 self._save()
             now = time.monotonic()
             if now - beat_at >= _BEAT_S:
@@ -218,13 +220,6 @@ class _Session:
         if trainer.step < config.steps and self._saved_step != trainer.step:
             self._save()
         return trainer.step == config.steps
-
-    def _log_figures(self) -> None:
-        sessions = self.trainer.sessions
-        figures = {} if sessions is None else sessions.learner.metrics()
-        if figures:
-            told = ", ".join(f"{name} {value:.4g}" for name, value in figures.items())
-            self.monitor.log(f"step {self.trainer.step}: {told}")
 
     def _save(self) -> None:
         trainer = self.trainer
