@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -35,6 +35,9 @@ from rrm.training.phases import Phase
 
 #: Folders of earlier runs, by identity.
 Results = Mapping[str, Path]
+
+#: Makes the parts of a run, as `assemble` does.
+Assembled = Callable[[RunConfig, Streams, Results], "Parts"]
 
 DEMOS = "demos.safetensors"  #: what a run that collects demonstrations leaves behind
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import shutil
 import time
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager
 from pathlib import Path
 from types import MappingProxyType
@@ -16,7 +16,7 @@ import torch
 from rrm.checkpoint import KEPT, Checkpoints, check_finite, encode
 from rrm.errors import NumericalError, PriorError, WaitingError
 from rrm.files import make_folder, write_atomically
-from rrm.training.build import DEMOS, Results, result_of
+from rrm.training.build import DEMOS, Assembled, Results, assemble, result_of
 from rrm.training.config import RunConfig
 from rrm.training.demonstrate import demonstrate, expert_policy
 from rrm.training.demos import DemosConfig
@@ -99,13 +99,19 @@ def collect(config: DemosConfig, folder: Path, monitor: Monitor, results: Result
 
 
 def train(
-    config: RunConfig, folder: Path, monitor: Monitor, results: Results = _NOTHING, *, checkpoint_every_s: float = 120.0
+    config: RunConfig,
+    folder: Path,
+    monitor: Monitor,
+    results: Results = _NOTHING,
+    *,
+    checkpoint_every_s: float = 120.0,
+    assembled: Assembled = assemble,
 ) -> bool:
     """Train from the newest checkpoint in `folder`, or from the start, to the end of the run.
 
     A checkpoint is written after every evaluation and at least every `checkpoint_every_s` seconds; when they are
     written has no influence on the numbers. A finished run leaves its networks in `folder/model.safetensors` and no
-    checkpoint.
+    checkpoint. `assembled` makes the run's parts, for those who try one of their own.
 
     Returns:
         True when the run is finished; False when it was told to stop and can be continued.
@@ -119,7 +125,7 @@ def train(
     checkpoints = Checkpoints(folder / "checkpoint")
     with monitor.writing():  # what is damaged is set aside
         make_folder(checkpoints.folder)
-        trainer = _restore(config, results, checkpoints, monitor)
+        trainer = _restore(lambda: Trainer(config, results, assembled), checkpoints, monitor)
     monitor.restored(trainer.rows)
     try:
         finished = _Session(trainer, checkpoints, monitor, checkpoint_every_s).run()
@@ -150,14 +156,14 @@ def _worth(told: Mapping[str, Any]) -> str:
     return f"{success}mean return {told['true_return']:,.1f}"
 
 
-def _restore(config: RunConfig, results: Results, checkpoints: Checkpoints, monitor: Monitor) -> Trainer:
-    trainer = Trainer(config, results)
+def _restore(fresh: Callable[[], Trainer], checkpoints: Checkpoints, monitor: Monitor) -> Trainer:
+    trainer = fresh()
 
     def restore(state: State) -> None:
         nonlocal trainer
         if trainer.experience.transitions:  # a checkpoint that turned out damaged half-way through
             trainer.close()
-            trainer = Trainer(config, results)
+            trainer = fresh()
         trainer.load(checkpoints.folder, state)
 
     step = checkpoints.load(restore)
@@ -169,7 +175,7 @@ def _restore(config: RunConfig, results: Results, checkpoints: Checkpoints, moni
     elif checkpoints.skipped:
         monitor.note("no usable checkpoint is left: starting again from step 0")
         trainer.close()
-        trainer = Trainer(config, results)
+        trainer = fresh()
     return trainer
 
 

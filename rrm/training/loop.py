@@ -7,7 +7,6 @@ store the transition with its prior value. The update at step t therefore never 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from types import MappingProxyType
@@ -21,7 +20,7 @@ from rrm.interfaces import Floats
 from rrm.nets.precision import check_precision
 from rrm.seeding import Streams, evaluation_seed
 from rrm.sources.base import RewardSource
-from rrm.training.build import Parts, Results, assemble
+from rrm.training.build import Assembled, Results, assemble
 from rrm.training.config import RunConfig
 from rrm.training.evaluate import evaluate
 from rrm.training.phases import Phase, phase_at
@@ -59,7 +58,7 @@ class Trainer:
         self,
         config: RunConfig,
         results: Results = MappingProxyType({}),
-        assembled: Callable[[RunConfig, Streams, Results], Parts] = assemble,
+        assembled: Assembled = assemble,
     ) -> None:
         """Args:
         results: folders of the runs that this one requires, by identity.

@@ -30,8 +30,7 @@ IDENTITY = {
     "seed": "int64",
 }
 
-#: What every evaluation measured; units as in `rrm.types.EvalRow`. Its figures are further columns of float64: those
-#: that the run's agent and its sources of rewards have, by their names.
+#: What an evaluation measured; units as in `rrm.types.EvalRow`.
 MEASURED = {
     "step": "int64",
     "episodes": "int64",
@@ -39,11 +38,17 @@ MEASURED = {
     "success": "float64",
     "queries": "int64",
     "labels": "int64",
+    "label_accuracy": "float64",
+    "true_accuracy": "float64",
     "prior_mean": "float64",
     "residual_mean": "float64",
     "reward_mean": "float64",
     "reward_std": "float64",
     "true_reward_mean": "float64",
+    "critic_loss": "float64",
+    "actor_loss": "float64",
+    "entropy": "float64",
+    "alpha": "float64",
     "wall_s": "float64",
     "steps_per_s": "float64",
 }

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import Any
 
@@ -49,7 +50,7 @@ class CurveWriter:
             StorageError: the folder takes no write; the curve on disk holds the rows before.
             KeyError: a row lacks a measured column.
         """
-        held = self._rows | {int(row["step"]): {name: row[name] for name in MEASURED} for row in rows}
+        held = self._rows | {int(row["step"]): {name: row.get(name, math.nan) for name in MEASURED} for row in rows}
         table = table_of([self._identity | held[step] for step in sorted(held)])
         write_table(self._folder.curve, table, **SETTINGS)
         self._rows = held
