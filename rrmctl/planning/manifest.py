@@ -236,36 +236,3 @@ def _key(location: list[str]) -> str:
         return f"[grid] {'.'.join(rest[1:])}"
     kinds = ("settings", "[key]", "int", "tuple[int, ...]")
     return ".".join([_SPELLED.get(top, top), *(part for part in rest if part not in kinds)])
-
-
-def find(name: str, folder: Path) -> Path:
-    """The file of the experiment `name` in `folder`, or `name` itself where it is the path of a .toml file.
-
-    Raises:
-        UserError: there is none; the message suggests the nearest, or says where manifests are looked for.
-    """
-    if name.endswith(".toml") and not Path(name).is_dir():
-        if not Path(name).is_file():
-            raise UserError(f"there is no file {name}")
-        return Path(name)
-    names = {path.stem: path for path in available(folder)}
-    if name not in names:
-        if name and Path(name).is_dir():
-            raise UserError(f"{name} is a folder", "name an experiment of `rrmctl list`, or one manifest (*.toml)")
-        raise UserError(f'no experiment "{name}" in {folder}{nearest(name, names)}', f"known: {', '.join(names)}")
-    return names[name]
-
-
-def available(folder: Path) -> list[Path]:
-    """The manifests of a folder, by name.
-
-    Raises:
-        UserError: the folder is missing or holds none.
-    """
-    hint = "run from a clone of the project, or name the folder with --experiments DIR or RRMCTL_EXPERIMENTS"
-    if not folder.is_dir():
-        raise UserError(f"there is no folder {folder}", hint)
-    paths = sorted(folder.glob("*.toml"))
-    if not paths:
-        raise UserError(f"{folder} holds no manifest (*.toml)", hint)
-    return paths

@@ -9,6 +9,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from rrmctl import doctor
+from rrmctl.planning.experiments import SHIPPED
 
 
 def test_required_packages_are_found() -> None:
@@ -75,10 +76,12 @@ def test_results_that_are_no_folder(tmp_path: Path) -> None:
 
 
 def test_experiments_folder(tmp_path: Path) -> None:
-    """No manifest is missing; one is enough."""
-    assert {c.name: c.state for c in doctor.folders(tmp_path, tmp_path)}["experiments"] == "missing"
+    """Manifests of the user's are counted beside those of rrmctl; a folder that is named must be there."""
     (tmp_path / "one.toml").write_text("")
-    assert {c.name: c.found for c in doctor.folders(tmp_path, tmp_path)}["experiments"] == f"1 in {tmp_path}"
+    shipped = len(list(SHIPPED.glob("*.toml")))
+    (check,) = [c for c in doctor.folders(tmp_path, tmp_path) if c.name == "experiments"]
+    assert (check.state, check.found) == ("ok", f"{shipped} of rrmctl, 1 of yours")
+    assert {c.name: c.state for c in doctor.folders(tmp_path, tmp_path / "no")}["experiments"] == "missing"
 
 
 def test_vector_extensions(tmp_path: Path) -> None:
