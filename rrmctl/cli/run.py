@@ -132,7 +132,7 @@ def run(
         raise typer.Exit(Exit.INCOMPLETE)
     code, sweep = until_decided(layout, plan, rules, execute) if rules else execute(plan)
     drain(console.file)
-    finish(layout, code, [sweep])
+    finish(layout, code, [sweep], closing=plan.manifest.closing)
 
 
 @resumable

@@ -122,6 +122,7 @@ class Manifest(_Frozen):
     title: Text
     reproduces: Texts  #: figures and tables of the paper, or what else it is for
     rule: Text  #: one sentence: what is reported, and at which step
+    closing: Text | None = None  #: how to read what comes out: said by `run` once all is there
     default_profile: Text = "paper"  #: the scale when none is asked for
     seeds: StrictInt | tuple[StrictInt, ...] = 10  #: a number of seeds from 0 up, or a list of them
     grids: Annotated[tuple[Grid, ...], Field(min_length=1)]
@@ -135,7 +136,7 @@ class Manifest(_Frozen):
 
 #: Keys and sections of a manifest, and the fields they fill where the two differ.
 _SECTIONS = {"task": "tasks", "method": "methods", "teacher": "teachers", "profile": "profiles", "grid": "grids"}
-_KEYS = {"title", "reproduces", "rule", "default_profile", "seeds", "defaults", "feedback", *_SECTIONS}
+_KEYS = {"title", "reproduces", "rule", "closing", "default_profile", "seeds", "defaults", "feedback", *_SECTIONS}
 
 
 def nearest(name: str, known: Iterable[str]) -> str:
