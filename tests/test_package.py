@@ -49,7 +49,7 @@ def installed(tmp_path_factory: pytest.TempPathFactory) -> Path:
     with tarfile.open(next(folder.glob("*.tar.gz"))) as archive:
         archive.extractall(folder, filter="data")
     (source,) = folder.glob("rrmctl-*/")
-    assert sources(source) == sources(ROOT)
+    assert {"rrm/py.typed", "rrmctl/py.typed"} < sources(source) == sources(ROOT)
     call(source, sys.executable, "-m", "hatchling", "build", "-t", "wheel", "-d", folder)
     venv.create(folder / "venv", with_pip=True)
     python = folder / "venv" / "bin" / "python"

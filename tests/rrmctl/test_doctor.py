@@ -6,7 +6,10 @@ import os
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
+from itertools import islice
 from pathlib import Path
+
+import pytest
 
 from rrmctl import doctor
 from rrmctl.planning.experiments import SHIPPED
@@ -30,6 +33,14 @@ def test_absent_and_wrong_packages() -> None:
     assert wrong.state == "missing"
     assert "<1 is needed" in wrong.found
     assert doctor.package("no-such-package", ">=1", needed=False).state == "note"
+
+
+def test_a_clone_that_is_not_installed(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Without a record of its own needs, the first thing said is how to install it; the other checks follow."""
+    monkeypatch.setattr(doctor, "DISTRIBUTION", "no-such-package")
+    first, second = islice(doctor.examine(Path("results"), None), 2)
+    assert (first.state, second.name) == ("missing", "simulators")
+    assert "-m pip install --editable" in first.fix
 
 
 def test_rendering_is_a_note() -> None:
