@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from rrmctl.cli.options import DEFAULT_EXPERIMENTS, ExperimentsOption
+from rrmctl.cli.options import ExperimentsOption
 from rrmctl.errors import UserError
 
 if TYPE_CHECKING:
@@ -59,7 +59,7 @@ def add(
         Path | None,
         typer.Option("--into", metavar="DIR", help="Where to freeze it. Default: priors, beside the experiments."),
     ] = None,
-    experiments: ExperimentsOption = DEFAULT_EXPERIMENTS,
+    experiments: ExperimentsOption = None,
 ) -> None:
     """Try candidates that a language model wrote, keep the best and freeze it with its origin as TASK.language.py.
 
@@ -74,12 +74,13 @@ def add(
     from rrm.priors.language.choose import Origin
     from rrm.priors.language.choose import add as freeze
     from rrm.priors.language.prompt import make_prompt
+    from rrmctl.planning.experiments import OWN
 
     os.environ.setdefault("MUJOCO_GL", "disabled")  # nothing is rendered
     spec = task_of(task)
     text = make_prompt(spec, skeleton=True) if prompt_file is None else _read(prompt_file)
     origin = Origin(model=model, date=f"{date:%Y-%m-%d}", prompt=text)
-    target, record = freeze(spec, files, origin, into or experiments.absolute().parent / "priors")
+    target, record = freeze(spec, files, origin, into or (experiments or OWN).absolute().parent / "priors")
     _show(record)
     name = os.path.relpath(target)
     typer.echo(

@@ -8,12 +8,12 @@ from __future__ import annotations
 
 import hashlib
 import json
-import tomllib
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 from rrm.errors import ConfigError
+from rrm.toml import loads
 
 SUFFIX = ".language.py"
 _BEGIN, _END = "# /// language-prior", "# ///"
@@ -72,10 +72,10 @@ def read_record(path: Path) -> Record:
     begin = lines.index(_BEGIN) + 1
     block = lines[begin : lines.index(_END, begin)]
     try:
-        fields: dict[str, Any] = tomllib.loads("\n".join(line.removeprefix("#") for line in block))
+        fields: dict[str, Any] = loads("\n".join(line.removeprefix("#") for line in block))
         candidates = tuple(Candidate(**candidate) for candidate in fields.pop("candidates"))
         return Record(**fields, candidates=candidates)
-    except (tomllib.TOMLDecodeError, TypeError, KeyError) as error:
+    except (ValueError, TypeError, KeyError) as error:
         raise ConfigError(f"{path}: its record is damaged: {error}") from error
 
 
