@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import os
 import secrets
+import stat
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -62,6 +64,24 @@ def make_folder(folder: Path) -> None:
     make_folder(folder.parent)
     folder.mkdir(exist_ok=True)
     sync_folder(folder.parent)
+
+
+def read_small(path: Path, most: int) -> bytes:
+    """The content of a file that somebody wrote by hand.
+
+    Args:
+        most: bytes; no more of it is ever read.
+
+    Raises:
+        OSError: it is not there, longer than that, or no regular file: a device may have no end, a pipe no beginning.
+    """
+    if not stat.S_ISREG(path.stat().st_mode):
+        raise OSError(errno.EINVAL, "not a regular file", str(path))
+    with path.open("rb") as file:
+        data = file.read(most + 1)
+    if len(data) > most:
+        raise OSError(errno.EFBIG, f"longer than {most:,} bytes", str(path))
+    return data
 
 
 def sync_folder(folder: Path) -> None:

@@ -6,7 +6,7 @@ import sys
 
 import pytest
 
-from rrm.files import make_folder, write_atomically
+from rrm.files import make_folder, read_small, write_atomically
 
 
 def test_a_file_is_replaced_as_a_whole(tmp_path):
@@ -65,3 +65,18 @@ def test_every_new_folder_is_flushed_into_the_one_above(tmp_path, monkeypatch):
     (tmp_path / "file").touch()
     with pytest.raises(FileExistsError):
         make_folder(tmp_path / "file" / "r")
+
+
+def test_only_small_regular_files_are_read(tmp_path):
+    """What has no end, or nobody who writes, is not begun with; what is too long is not read to its end."""
+    os.mkfifo(tmp_path / "pipe")
+    (tmp_path / "small").write_bytes(b"12345")
+    with (tmp_path / "huge").open("wb") as file:
+        file.truncate(3 << 30)
+    assert read_small(tmp_path / "small", 5) == b"12345"
+    for name, said in (
+        ("pipe", "not a regular file"), ("/dev/zero", "not a regular file"), (".", "not a regular file"),
+        ("huge", "longer than 1,000 bytes"), ("missing", "No such file"),
+    ):  # fmt: skip
+        with pytest.raises(OSError, match=said):
+            read_small(tmp_path / name, 1000)
