@@ -93,5 +93,5 @@ def test_a_failing_line_is_named():
 
 def test_a_failing_constant_is_refused():
     """A constant that cannot be computed is a mistake of the file."""
-    with pytest.raises(PriorError, match=r"a\.py: ValueError in a constant: math domain error"):
+    with pytest.raises(PriorError, match=r"a\.py, line 3: ValueError in a constant: math domain error"):
         admit(code("return W", f"W = math.log({math.pi} - 4)"), "a.py").function()
