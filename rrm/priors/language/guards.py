@@ -48,7 +48,7 @@ def checked(value: Any) -> Any:
         return value
     if isinstance(value, np.generic | Scene):
         return value
-    raise TypeError(f"a {type(value).__name__} is nothing to go on with")
+    raise TypeError(f"a {type(value).__name__} is no number, array or row of them")
 
 
 def number(value: Any) -> Any:

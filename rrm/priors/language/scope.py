@@ -28,7 +28,6 @@ class Scope:
         self.reads: set[str] = set()  #: accessors of the step
         self.modules: dict[str, str] = {}  #: alias -> numpy or math
         self.work: dict[str, int] = {}  #: of one call, for each function so far
-        self.loops = 0  #: around the statement at hand
         self.inside = False  #: a function
         self._text = text
         self._names: ChainMap[str, Kind] = ChainMap(dict.fromkeys((*FUNCTIONS, "range"), "word"))
@@ -49,9 +48,9 @@ class Scope:
     @contextmanager
     def loop(self, turns: int) -> Iterator[None]:
         """Around the body of a loop."""
-        before, self._turns, self.loops = self._turns, self._turns * turns, self.loops + 1
+        before, self._turns = self._turns, self._turns * turns
         yield
-        self._turns, self.loops = before, self.loops - 1
+        self._turns = before
 
     def spend(self, work: int, node: ast.AST) -> None:
         """Count work of one execution of the node."""
@@ -73,7 +72,7 @@ class Scope:
             raise self.refused(node, f"{name} begins with two underscores", short=True)
         known = self._names.get(name)
         if known is not None and not (self.inside and known in (kind, "constant")):
-            raise self.refused(node, f"{name} is a {known} already", short=True)
+            raise self.refused(node, f"{name} is a {known} already; give this another name", short=True)
         self._names[name] = kind
 
     def refused(self, node: ast.AST, why: str, *, short: bool = False) -> RefusedCodeError:

@@ -100,7 +100,7 @@ def _shallow(tree: ast.Module, where: str) -> ast.Module:
     for _ in range(_DEEPEST):
         level = [child for node in level for child in ast.iter_child_nodes(node) if child._fields]
     if level:
-        raise RefusedCodeError(f"{where}, line {getattr(level[0], 'lineno', '?')}: nested too deeply")
+        raise RefusedCodeError(f"{where}, line {max(getattr(node, 'lineno', 1) for node in level)}: nested too deeply")
     return tree
 
 
@@ -168,9 +168,11 @@ class _Statements:
     def _new(self, node: ast.stmt) -> ast.stmt:
         raise self._scope.refused(node, "this kind of statement is not allowed")
 
-    @_new.register
-    def _(self, node: ast.Pass) -> ast.stmt:  # noqa: ARG002
-        return ast.Pass()
+    @_new.register(ast.Pass)
+    @_new.register(ast.Break)
+    @_new.register(ast.Continue)
+    def _(self, node: ast.Pass | ast.Break | ast.Continue) -> ast.stmt:
+        return type(node)()  # whether there is a loop around it, the compiler sees
 
     @_new.register
     def _(self, node: ast.Return) -> ast.stmt:
@@ -178,17 +180,14 @@ class _Statements:
             raise self._scope.refused(node, "a function returns a value")
         return ast.Return(self._expressions.translate(node.value))
 
-    @_new.register
-    def _(self, node: ast.Assign) -> ast.stmt:
-        value = self._expressions.translate(node.value)
-        return ast.Assign([self._target(target) for target in node.targets], value)
-
-    @_new.register
-    def _(self, node: ast.AnnAssign) -> ast.stmt:
+    @_new.register(ast.Assign)
+    @_new.register(ast.AnnAssign)
+    def _(self, node: ast.Assign | ast.AnnAssign) -> ast.stmt:
         if node.value is None:
             raise self._scope.refused(node, "an annotation without a value")
         value = self._expressions.translate(node.value)
-        return ast.Assign([self._target(node.target)], value)
+        targets = node.targets if isinstance(node, ast.Assign) else [node.target]
+        return ast.Assign([self._target(target) for target in targets], value)
 
     @_new.register
     def _(self, node: ast.AugAssign) -> ast.stmt:
@@ -211,13 +210,6 @@ class _Statements:
             self._scope.spend(1, node)
             body = self._block(node.body)
         return ast.For(target, ast.Tuple(items, ast.Load()), body, [])
-
-    @_new.register(ast.Break)
-    @_new.register(ast.Continue)
-    def _(self, node: ast.Break | ast.Continue) -> ast.stmt:
-        if not self._scope.loops:
-            raise self._scope.refused(node, "there is no loop around it")
-        return type(node)()
 
     def _turns(self, node: ast.For) -> tuple[list[ast.expr], Kind]:
         """What the loop's variable stands for in each turn, written out, and the kind of name that it is."""

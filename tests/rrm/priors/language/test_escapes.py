@@ -260,6 +260,7 @@ def test_files(before):
         (b"x = " + b"(" * 150 + b"1" + b")" * 150, "nested parentheses|no function"),
         (b"x = " + b"(" * 5000 + b"1" + b")" * 5000, "too many nested parentheses"),
         (b"x = " + b"-" * 1000 + b"1", "nested too deeply"),
+        (b"x = " + b"(lambda: " * 70 + b"1" + b")" * 70, "line 1: nested too deeply"),
         (b"x = " + b"-" * 15_000 + b"1", "nested too deeply"),
         (b"x = " + b"1+" * 9000 + b"1", "nested too deeply"),
         (b"x = 1\n" * 5000, r"line 4001: more than 20,000 characters of code"),
@@ -399,7 +400,7 @@ def instructions(code):
             yield from instructions(part.argval)
 
 
-@settings(max_examples=600)
+@settings(max_examples=300)
 @given(expressions())
 def test_whatever_is_admitted_is_harmless(expression):
     """Random code is refused, fails as a prior, or gives a number; what is run names only what it may."""
