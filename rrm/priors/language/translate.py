@@ -156,10 +156,9 @@ class _Statements:
 
     def _block(self, statements: list[ast.stmt]) -> list[ast.stmt]:
         """At least one statement; each costs work, so that a loop around nothing is not free."""
+        kept = [node for node in statements if not _is_text(node)]
         made = []
-        for node in [node for node in statements if not _is_text(node)] or [
-            ast.copy_location(ast.Pass(), statements[0])
-        ]:
+        for node in kept or [ast.copy_location(ast.Pass(), statements[0])]:
             self._scope.spend(1, node)
             made.append(ast.copy_location(self._new(node), node))
         return made
