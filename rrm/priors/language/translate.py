@@ -13,7 +13,7 @@ import unicodedata
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import singledispatchmethod
+from functools import lru_cache, singledispatchmethod
 from types import CodeType
 from typing import Any
 
@@ -55,6 +55,7 @@ class Admitted:
         return entry
 
 
+@lru_cache  # planning asks for every run
 def admit(source: bytes, where: str) -> Admitted:
     """Check code, without running it.
 
