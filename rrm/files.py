@@ -26,7 +26,7 @@ def read_bounded(path: Path, limit: int) -> bytes:
     finally:
         os.close(descriptor)
     if len(data) > limit:
-        raise OSError(errno.EFBIG, f"larger than {limit // 1024:,} KiB", str(path))
+        raise OSError(errno.EFBIG, f"longer than {limit:,} bytes", str(path))
     return data
 
 

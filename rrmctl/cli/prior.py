@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from rrm.files import read_bounded
 from rrmctl.cli.options import ExperimentsOption
 from rrmctl.errors import UserError
 
@@ -18,6 +19,8 @@ if TYPE_CHECKING:
 prior_app = typer.Typer(no_args_is_help=True, help="Prepare priors that are not functions of your own.")
 language_app = typer.Typer(no_args_is_help=True, help="Priors that a language model writes, in any chat.")
 prior_app.add_typer(language_app, name="language")
+
+_LARGEST_PROMPT = 10_000_000  # bytes
 
 TaskArgument = Annotated[str, typer.Argument(metavar="TASK", help="A task, such as button-press.")]
 
@@ -63,8 +66,8 @@ def add(
 ) -> None:
     """Try candidates that a language model wrote, keep the best and freeze it with its origin as TASK.language.py.
 
-    Candidates are not trusted: their code is checked against a small subset of Python and tried in a process of its
-    own, on a random walk. The one that most agrees with the others is kept; the true reward is not looked at.
+    Candidates are not trusted: their code is rebuilt from a small subset of Python, which always ends, and tried on a
+    random walk. The one that most agrees with the others is kept; the true reward is not looked at.
 
     Example:
 
@@ -97,6 +100,8 @@ def _show(record: Record) -> None:
 
 def _read(path: Path) -> str:
     try:
-        return path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise UserError(f"cannot read {path}: {error}") from error
+        return read_bounded(path, _LARGEST_PROMPT).decode()
+    except OSError as error:
+        raise UserError(f"cannot read {path}: {error.strerror}") from error
+    except UnicodeDecodeError as error:
+        raise UserError(f"cannot read {path}: not UTF-8 text: {error.reason} at byte {error.start}") from None

@@ -15,7 +15,7 @@ def test_a_file_is_read_up_to_its_limit(tmp_path):
     path = tmp_path / "a"
     path.write_bytes(bytes(2048))
     assert read_bounded(path, 2048) == bytes(2048)
-    with pytest.raises(OSError, match="larger than 1 KiB") as caught:
+    with pytest.raises(OSError, match="longer than 2,047 bytes") as caught:
         read_bounded(path, 2047)
     assert caught.value.filename == str(path)
 

@@ -81,7 +81,7 @@ def test_whatever_lies_in_the_folder_is_answered_at_once(tmp_path: Path) -> None
     told = {Path(line.split(".toml")[0]).name: line.rsplit(": ", 1)[1] for line in done.stderr.splitlines()}
     assert told == {
         "dots": "a key of more than 20 parts in line 1", "latin": "invalid continuation byte at byte 9",
-        "large": "larger than 256 KiB",
+        "large": "longer than 262,144 bytes",
         "folder": "not a regular file", "pipe": "not a regular file", "device": "not a regular file",
         "nothing": "No such file or directory", "itself": "Too many levels of symbolic links",
     }  # fmt: skip
