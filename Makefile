@@ -6,6 +6,9 @@ PYTHON ?= $(shell for p in python3 python3.12 python3.11; do \
 BIN := .venv/bin
 AS_ROOT := $(shell test "$$(id -u)" = 0 || echo sudo)
 PYTEST := $(BIN)/python -m pytest
+PIP := $(BIN)/python -m pip install
+# What pip says is shown where it fails: about some package indexes it warns a hundred times.
+LOGGED := >.venv/install.log 2>&1 || { cat .venv/install.log >&2; exit 1; }
 
 .PHONY: quickstart test test-slow check install browser tex bench soak clean
 
@@ -42,7 +45,7 @@ bench: .venv/benched
 	$(BIN)/python -m benchmarks $(BENCHMARKS)
 
 .venv/benched: .venv/installed
-	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[dev,bench]'
+	$(PIP) --constraint constraints.txt --editable '.[dev,bench]' $(LOGGED)
 	@touch $@
 
 install: .venv/installed
@@ -51,8 +54,8 @@ install: .venv/installed
 	@test -n "$(PYTHON)" || { echo "rrmctl needs Python 3.11 or 3.12 (the simulators have wheels for no other); \
 	install one and run make again, or name it: make PYTHON=/path/to/python3.12 ..." >&2; exit 1; }
 	$(PYTHON) -m venv .venv
-	$(BIN)/python -m pip install --quiet --upgrade pip
-	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[dev]'
+	$(PIP) --upgrade pip $(LOGGED)
+	$(PIP) --constraint constraints.txt --editable '.[dev]' $(LOGGED)
 	@touch $@
 
 clean:

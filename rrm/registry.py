@@ -14,6 +14,11 @@ from pathlib import Path
 from typing import Any
 
 from rrm.errors import ConfigError, UnknownNameError
+from rrm.files import read_bounded
+
+#: How files end that hold a language model's code: `rrm.priors.language` rebuilds it, and it never runs as it stands.
+LANGUAGE = ".language.py"
+_MOST_CODE = 10_000_000  # bytes of a user's file
 
 #: With one of these at its top level a file may have names that reading it does not show.
 _OPEN = {"*", "__getattr__"}
@@ -59,7 +64,7 @@ def check_file(name: str, kind: str) -> None:
 def _parsed(path: Path, name: str, kind: str) -> ast.Module:
     try:
         with warnings.catch_warnings(action="ignore"):  # the run itself shows them, in its log
-            tree = ast.parse(path.read_bytes())
+            tree = ast.parse(read_bounded(path, _MOST_CODE))
             compile(tree, str(path), "exec", dont_inherit=True)  # finds what the grammar alone lets pass
     except SyntaxError as error:
         raise ConfigError(f"{kind} {name!r}: {path}, line {error.lineno}: {error.msg}") from None
@@ -110,7 +115,8 @@ def file_digest(path: Path, name: str) -> str:
     try:
         if path.exists() and not path.is_file():  # a device may have no end
             raise ConfigError(f"cannot read {path} (named by {name!r}): not a file")
-        return hashlib.sha256(path.read_bytes()).hexdigest()
+        with path.open("rb") as file:
+            return hashlib.file_digest(file, "sha256").hexdigest()
     except OSError as error:
         raise ConfigError(f"cannot read {path} (named by {name!r}): {error.strerror}") from error
 
@@ -125,6 +131,8 @@ def _located(name: str, kind: str) -> tuple[Path, str]:
         raise ConfigError(f"{kind} {name!r}: {path.absolute()}: {error.strerror}") from None
     if not there:
         raise ConfigError(f"{kind} {name!r}: there is no file {path.absolute()}")
+    if any(file.name.lower().endswith(LANGUAGE) for file in (path, path.resolve())):
+        raise ConfigError(f"{kind} {name!r}: *{LANGUAGE} holds a language model's code, which is never run as a {kind}")
     return path, attribute
 
 

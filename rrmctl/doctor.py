@@ -16,7 +16,9 @@ from pathlib import Path
 from typing import Literal
 
 from rrm.precision import extensions
+from rrmctl.errors import UserError
 from rrmctl.machine import cpu_model, usable_cores
+from rrmctl.planning.experiments import SHIPPED, available
 
 DISTRIBUTION = "rrmctl"
 
@@ -41,15 +43,19 @@ class Check:
     fix: str = ""
 
 
-def examine(results: Path, experiments: Path) -> Iterator[Check]:
+def examine(results: Path, experiments: Path | None) -> Iterator[Check]:
     """Every check in turn; the ones that start a process take a second or two each.
 
     Args:
         results: where runs are to be kept.
-        experiments: where manifests are.
+        experiments: where manifests of the user's are, if they say so.
     """
-    yield python_version()
-    yield from packages()
+    try:
+        yield python_version()
+        yield from packages()
+    except metadata.PackageNotFoundError:  # a clone that is run as it is
+        fix = f"{Path(sys.executable).name} -m pip install --editable {Path(__file__).parents[1]}"
+        yield Check(DISTRIBUTION, "missing", "not installed, so that nobody knows what it needs", fix)
     yield simulators()
     yield processor()
     yield threads()
@@ -130,8 +136,8 @@ def precision(cpuinfo: Path = Path("/proc/cpuinfo")) -> Check:
     return Check("precision", "ok", f"{offered}; vector extensions: {', '.join(there) or 'none known'}")
 
 
-def folders(results: Path, experiments: Path) -> Iterator[Check]:
-    """Runs are kept in `results`; manifests are read from `experiments`."""
+def folders(results: Path, experiments: Path | None) -> Iterator[Check]:
+    """Runs are kept in `results`; there are manifests, those in `experiments` among them."""
     yield writable(results)
     there = next((folder for folder in (results, *results.absolute().parents) if folder.exists()), Path("/"))
     free = shutil.disk_usage(there).free
@@ -140,12 +146,15 @@ def folders(results: Path, experiments: Path) -> Iterator[Check]:
         "disk", "ok" if enough else "missing", f"{free / 1024**3:.1f} GB free for {results}",
         "" if enough else "free 2 GB, or choose another disk with --results DIR",
     )  # fmt: skip
-    count = len(list(experiments.glob("*.toml")))
-    fix = "run from a clone of the project, or --experiments DIR"
-    yield (
-        Check("experiments", "ok", f"{count} in {experiments}")
-        if count
-        else Check("experiments", "missing", f"no manifest in {experiments}", fix)
+    try:
+        manifests = available(experiments).values()
+    except UserError as error:
+        yield Check("experiments", "missing", str(error), error.hint or "")
+        return
+    shipped = sum(path.parent == SHIPPED for path in manifests)
+    fix = "" if shipped else "reinstall rrmctl: those that come with it are gone"
+    yield Check(
+        "experiments", "ok" if shipped else "missing", f"{shipped} of rrmctl, {len(manifests) - shipped} of yours", fix
     )
 
 
@@ -175,7 +184,7 @@ def _try(code: str, **environment: str) -> str | None:
     """The last line of what a fresh Python says about `code`; None where it runs."""
     # Importing a simulator writes PYOPENGL_PLATFORM, and a child that inherits it cannot choose another backend.
     variables = {name: value for name, value in os.environ.items() if name != "PYOPENGL_PLATFORM"} | environment
-    command = [sys.executable, "-W", "ignore", "-c", code]
+    command = [sys.executable, "-P", "-W", "ignore", "-c", code]
     try:
         done = subprocess.run(command, env=variables, capture_output=True, text=True, timeout=120, check=False)
     except subprocess.TimeoutExpired:

@@ -32,11 +32,10 @@ KNOW_RRM = {
     ),  # names and settings become configurations
     "running.demos",  # collects demonstrations that people ask for
     *("running.runfile", "running.worker"),  # a configuration's way into the process that trains
-    "cli.app",  # errors become messages
     "cli.prior",  # candidates of a language model become priors of the library
 }
-#: Light, and the one place for what they say: tasks and how they are scored, errors, durable writes, arithmetic.
-FACTS = {"rrm.envs.tasks", "rrm.errors", "rrm.files", "rrm.parquet", "rrm.precision"}
+#: Light, and the one place for what they say: the version, tasks and how they are scored, errors, files, arithmetic.
+FACTS = {"rrm", "rrm.envs.tasks", "rrm.errors", "rrm.files", "rrm.parquet", "rrm.precision", "rrm.toml"}
 
 #: Floors of `rrm`: a module imports from floors below its own, or from its own package.
 FLOORS = {

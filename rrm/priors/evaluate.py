@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import traceback
 from collections.abc import Callable
+from itertools import takewhile
 from numbers import Real
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -57,5 +58,5 @@ def _shown(value: Any) -> str:
 
 
 def _line(error: BaseException) -> str:
-    frames = [frame for frame in traceback.extract_tb(error.__traceback__)[1:] if frame.filename != _GUARDS]
+    frames = list(takewhile(lambda frame: frame.filename != _GUARDS, traceback.extract_tb(error.__traceback__)[1:]))
     return f" ({frames[-1].filename}, line {frames[-1].lineno})" if frames else ""

@@ -94,7 +94,7 @@ def rrmctl(
 ) -> None:
     """Plan, run, resume and report experiments in preference-based reinforcement learning.
 
-    An experiment is a TOML file under experiments/: tasks, methods, teachers and feedback budgets, crossed with seeds.
+    An experiment is a TOML file: tasks, methods, teachers and feedback budgets, crossed with seeds.
     Running one again continues it: only what is missing runs.
     """
 

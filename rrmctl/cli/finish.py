@@ -18,13 +18,16 @@ if TYPE_CHECKING:
     from rrmctl.store.sweeps import JobRecord, SweepRecord
 
 
-def finish(layout: Layout, code: Exit, sweeps: Sequence[SweepRecord], *, damaged: bool = False) -> None:
+def finish(
+    layout: Layout, code: Exit, sweeps: Sequence[SweepRecord], *, damaged: bool = False, closing: str | None = None
+) -> None:
     """Write the curves' aggregates, say how it ended and what to do next, and leave with the exit code.
 
     Args:
         code: as the pool ended.
         sweeps: what the command was about; of each, the jobs it was about.
         damaged: a sweep the command was about could not be read, so that nobody knows whether all is done.
+        closing: of the manifest, said where all is done.
     """
     from rrmctl.store.reader import statuses
 
@@ -39,6 +42,8 @@ def finish(layout: Layout, code: Exit, sweeps: Sequence[SweepRecord], *, damaged
     if code is Exit.DONE and (lost or damaged or "failed" in found):
         code = Exit.FAILED
     _advise(layout, code, names, failed="failed" in found)
+    if closing and code is Exit.DONE:
+        tell(f"\n{closing}\n")
     raise typer.Exit(code)
 
 

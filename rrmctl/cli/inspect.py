@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from rrmctl.cli.options import (
-    DEFAULT_EXPERIMENTS,
     DEFAULT_RESULTS,
     ExperimentArgument,
     ExperimentsOption,
@@ -35,18 +34,20 @@ JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON for program
 _STYLES = {"ok": "green", "note": "yellow", "missing": "bold red"}
 
 
-def list_(experiments: ExperimentsOption = DEFAULT_EXPERIMENTS, as_json: JsonOption = False) -> None:
+def list_(experiments: ExperimentsOption = None, as_json: JsonOption = False) -> None:
     """List the experiments: what each compares, and which figure or table of the paper it makes.
 
-    An experiment is one TOML file; a new one is a new file. Below stand the names that methods are made of.
+    An experiment is one TOML file: those of rrmctl, and any in the folder `experiments`. Below stand the names that
+    methods are made of.
     """
     from rich.table import Table
 
-    from rrmctl.planning.manifest import available, load
+    from rrmctl.planning.experiments import available, replaced
+    from rrmctl.planning.manifest import load
     from rrmctl.planning.methods import vocabulary
 
-    good, bad = [], []
-    for path in available(experiments):
+    good, bad, found = [], [], available(experiments)
+    for path in found.values():
         try:
             good.append(_described(load(path)))
         except UserError as error:
@@ -60,6 +61,8 @@ def list_(experiments: ExperimentsOption = DEFAULT_EXPERIMENTS, as_json: JsonOpt
             table.add_row(entry["name"], figures, str(entry["jobs"]), entry["profile"], entry["title"])
         _console().print(table)
         _console().print(vocabulary())
+        for name in replaced(found):
+            _console().print(f"note: {name} is {found[name]}, in place of the one that comes with rrmctl")
     if bad:
         raise UserError("\n".join(bad))
 
@@ -83,7 +86,7 @@ def plan(
     overrides: SetOption = None,
     prior: PriorOption = None,
     results: ResultsOption = DEFAULT_RESULTS,
-    experiments: ExperimentsOption = DEFAULT_EXPERIMENTS,
+    experiments: ExperimentsOption = None,
     each: Annotated[bool, typer.Option("--jobs", help="One line a job instead of one a group of seeds.")] = False,
     as_json: JsonOption = False,
 ) -> None:
@@ -175,7 +178,7 @@ def _job_as_json(expected: Forecast, job: Job) -> dict[str, Any]:
 
 def doctor(
     results: ResultsOption = DEFAULT_RESULTS,
-    experiments: ExperimentsOption = DEFAULT_EXPERIMENTS,
+    experiments: ExperimentsOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """Check this machine: versions, simulators, rendering, cores, precision, disk. Says what is missing and the fix.

@@ -2,20 +2,26 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
+from rrmctl.errors import UserError
+
 DEFAULT_RESULTS = Path("results")
-DEFAULT_EXPERIMENTS = Path("experiments")
 
 
 def complete_experiment(incomplete: str) -> list[str]:
     """For the shell: experiments whose name starts with what was typed."""
-    folder = Path(os.environ.get("RRMCTL_EXPERIMENTS", DEFAULT_EXPERIMENTS))
-    return sorted(path.stem for path in folder.glob("*.toml") if path.stem.startswith(incomplete))
+    from rrmctl.planning.experiments import available
+
+    folder = os.environ.get("RRMCTL_EXPERIMENTS")
+    with contextlib.suppress(UserError):  # no such folder
+        return [name for name in available(Path(folder) if folder else None) if name.startswith(incomplete)]
+    return []
 
 
 def complete_profile(incomplete: str) -> list[str]:
@@ -44,8 +50,13 @@ ResultsOption = Annotated[
     Path, typer.Option("--results", metavar="DIR", envvar="RRMCTL_RESULTS", help="Where runs are kept.")
 ]
 ExperimentsOption = Annotated[
-    Path,
-    typer.Option("--experiments", metavar="DIR", envvar="RRMCTL_EXPERIMENTS", help="Where the manifests are."),
+    Path | None,
+    typer.Option(
+        "--experiments",
+        metavar="DIR",
+        envvar="RRMCTL_EXPERIMENTS",
+        help="Where manifests of your own are, beside those of rrmctl. Default: experiments.",
+    ),
 ]
 ProfileOption = Annotated[
     str | None,

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from rrmctl.cli.options import DEFAULT_EXPERIMENTS, ExperimentsOption
+from rrm.files import read_bounded
+from rrmctl.cli.options import ExperimentsOption
 from rrmctl.errors import UserError
 
 if TYPE_CHECKING:
@@ -18,6 +19,8 @@ if TYPE_CHECKING:
 prior_app = typer.Typer(no_args_is_help=True, help="Prepare priors that are not functions of your own.")
 language_app = typer.Typer(no_args_is_help=True, help="Priors that a language model writes, in any chat.")
 prior_app.add_typer(language_app, name="language")
+
+_LARGEST_PROMPT = 10_000_000  # bytes
 
 TaskArgument = Annotated[str, typer.Argument(metavar="TASK", help="A task, such as button-press.")]
 
@@ -59,12 +62,12 @@ def add(
         Path | None,
         typer.Option("--into", metavar="DIR", help="Where to freeze it. Default: priors, beside the experiments."),
     ] = None,
-    experiments: ExperimentsOption = DEFAULT_EXPERIMENTS,
+    experiments: ExperimentsOption = None,
 ) -> None:
     """Try candidates that a language model wrote, keep the best and freeze it with its origin as TASK.language.py.
 
-    Candidates are not trusted: their code is checked against a small subset of Python and tried in a process of its
-    own, on a random walk. The one that most agrees with the others is kept; the true reward is not looked at.
+    Candidates are not trusted: their code is rebuilt from a small subset of Python, which always ends, and tried on a
+    random walk. The one that most agrees with the others is kept; the true reward is not looked at.
 
     Example:
 
@@ -74,12 +77,13 @@ def add(
     from rrm.priors.language.choose import Origin
     from rrm.priors.language.choose import add as freeze
     from rrm.priors.language.prompt import make_prompt
+    from rrmctl.planning.experiments import OWN
 
     os.environ.setdefault("MUJOCO_GL", "disabled")  # nothing is rendered
     spec = task_of(task)
     text = make_prompt(spec, skeleton=True) if prompt_file is None else _read(prompt_file)
     origin = Origin(model=model, date=f"{date:%Y-%m-%d}", prompt=text)
-    target, record = freeze(spec, files, origin, into or experiments.absolute().parent / "priors")
+    target, record = freeze(spec, files, origin, into or (experiments or OWN).absolute().parent / "priors")
     _show(record)
     name = os.path.relpath(target)
     typer.echo(
@@ -96,6 +100,8 @@ def _show(record: Record) -> None:
 
 def _read(path: Path) -> str:
     try:
-        return path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise UserError(f"cannot read {path}: {error}") from error
+        return read_bounded(path, _LARGEST_PROMPT).decode()
+    except OSError as error:
+        raise UserError(f"cannot read {path}: {error.strerror}") from error
+    except UnicodeDecodeError as error:
+        raise UserError(f"cannot read {path}: not UTF-8 text: {error.reason} at byte {error.start}") from None

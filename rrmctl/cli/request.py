@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rrmctl.cli.options import DEFAULT_EXPERIMENTS, split_names
+from rrmctl.cli.options import split_names
 from rrmctl.errors import UserError
 
 if TYPE_CHECKING:
@@ -23,7 +23,7 @@ class Request:
     """An experiment and the options that shape its plan, as typed."""
 
     name: str
-    experiments: Path = DEFAULT_EXPERIMENTS
+    experiments: Path | None = None
     profile: str | None = None
     seeds: str | None = None
     tasks: list[str] | None = None
@@ -37,11 +37,12 @@ class Request:
         Raises:
             UserError: the experiment is unknown, or an option does not fit it.
         """
-        from rrmctl.planning import manifest
+        from rrmctl.planning.experiments import find
+        from rrmctl.planning.manifest import load
         from rrmctl.planning.plan import make_plan
 
         return make_plan(
-            manifest.load(manifest.find(self.name, self.experiments)),
+            load(find(self.name, self.experiments)),
             profile=self.profile,
             seeds=self.seeds,
             tasks=split_names(self.tasks),

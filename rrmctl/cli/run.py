@@ -13,7 +13,6 @@ from rrmctl.cli.finish import finish
 from rrmctl.cli.introduction import LARGE_H, from_nothing, introduce
 from rrmctl.cli.leaving import resumable
 from rrmctl.cli.options import (
-    DEFAULT_EXPERIMENTS,
     DEFAULT_RESULTS,
     HANG_AFTER_MIN,
     AgainstOption,
@@ -65,7 +64,7 @@ def run(
     memory: MemoryOption = None,
     hang_after: HangOption = HANG_AFTER_MIN,
     results: ResultsOption = DEFAULT_RESULTS,
-    experiments: ExperimentsOption = DEFAULT_EXPERIMENTS,
+    experiments: ExperimentsOption = None,
     retry_failed: RetryOption = False,
     force: Annotated[
         bool, typer.Option("--force", help="Train the named runs again from nothing; what they hold is removed.")
@@ -133,7 +132,7 @@ def run(
         raise typer.Exit(Exit.INCOMPLETE)
     code, sweep = until_decided(layout, plan, rules, execute) if rules else execute(plan)
     drain(console.file)
-    finish(layout, code, [sweep])
+    finish(layout, code, [sweep], closing=plan.manifest.closing)
 
 
 @resumable

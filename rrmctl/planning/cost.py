@@ -148,7 +148,7 @@ def measure_gemm() -> float:
     """
     one = {f"{name}_NUM_THREADS": "1" for name in ("OMP", "MKL", "OPENBLAS", "VECLIB", "NUMEXPR")}
     done = subprocess.run(
-        [sys.executable, "-c", _PROBE], env=os.environ | one, capture_output=True, text=True, check=False
+        [sys.executable, "-P", "-c", _PROBE], env=os.environ | one, capture_output=True, text=True, check=False
     )
     if done.returncode != 0:
         last = (done.stderr.strip().splitlines() or ["?"])[-1]

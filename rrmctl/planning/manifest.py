@@ -122,6 +122,7 @@ class Manifest(_Frozen):
     title: Text
     reproduces: Texts  #: figures and tables of the paper, or what else it is for
     rule: Text  #: one sentence: what is reported, and at which step
+    closing: Text | None = None  #: how to read what comes out: said by `run` once all is there
     default_profile: Text = "paper"  #: the scale when none is asked for
     seeds: StrictInt | tuple[StrictInt, ...] = 10  #: a number of seeds from 0 up, or a list of them
     grids: Annotated[tuple[Grid, ...], Field(min_length=1)]
@@ -135,7 +136,7 @@ class Manifest(_Frozen):
 
 #: Keys and sections of a manifest, and the fields they fill where the two differ.
 _SECTIONS = {"task": "tasks", "method": "methods", "teacher": "teachers", "profile": "profiles", "grid": "grids"}
-_KEYS = {"title", "reproduces", "rule", "default_profile", "seeds", "defaults", "feedback", *_SECTIONS}
+_KEYS = {"title", "reproduces", "rule", "closing", "default_profile", "seeds", "defaults", "feedback", *_SECTIONS}
 
 
 def nearest(name: str, known: Iterable[str]) -> str:
@@ -236,36 +237,3 @@ def _key(location: list[str]) -> str:
         return f"[grid] {'.'.join(rest[1:])}"
     kinds = ("settings", "[key]", "int", "tuple[int, ...]")
     return ".".join([_SPELLED.get(top, top), *(part for part in rest if part not in kinds)])
-
-
-def find(name: str, folder: Path) -> Path:
-    """The file of the experiment `name` in `folder`, or `name` itself where it is the path of a .toml file.
-
-    Raises:
-        UserError: there is none; the message suggests the nearest, or says where manifests are looked for.
-    """
-    if name.endswith(".toml") and not Path(name).is_dir():
-        if not Path(name).is_file():
-            raise UserError(f"there is no file {name}")
-        return Path(name)
-    names = {path.stem: path for path in available(folder)}
-    if name not in names:
-        if name and Path(name).is_dir():
-            raise UserError(f"{name} is a folder", "name an experiment of `rrmctl list`, or one manifest (*.toml)")
-        raise UserError(f'no experiment "{name}" in {folder}{nearest(name, names)}', f"known: {', '.join(names)}")
-    return names[name]
-
-
-def available(folder: Path) -> list[Path]:
-    """The manifests of a folder, by name.
-
-    Raises:
-        UserError: the folder is missing or holds none.
-    """
-    hint = "run from a clone of the project, or name the folder with --experiments DIR or RRMCTL_EXPERIMENTS"
-    if not folder.is_dir():
-        raise UserError(f"there is no folder {folder}", hint)
-    paths = sorted(folder.glob("*.toml"))
-    if not paths:
-        raise UserError(f"{folder} holds no manifest (*.toml)", hint)
-    return paths

@@ -10,6 +10,7 @@ from pathlib import Path
 from rrm.config import DEMONSTRATED, KNOWN_REWARDS
 from rrm.errors import ConfigError
 from rrm.priors import PRIORS
+from rrm.priors.language import is_frozen
 from rrm.registry import check_file, is_file_reference
 from rrm.rewards import LEARNERS
 from rrmctl.errors import UserError
@@ -103,8 +104,10 @@ def _named(name: str, what: str, known: Mapping[str, str] | tuple[str, ...], fol
     """A name of ours as it is; a user's file with its whole path, so that it is found from any folder."""
     if is_file_reference(name):
         location, _, attribute = name.rpartition(":")
-        path = os.path.realpath(folder / location)  # unlike Path.resolve, says nothing of links in a circle
-        if TASK in location:
+        place, frozen = folder / location, is_frozen(name)
+        # Links are followed, but by their names language priors are told. Path.resolve dislikes links in a circle.
+        path = f"{os.path.realpath(place.parent)}/{place.name}" if frozen else os.path.realpath(place)
+        if TASK in location or (frozen and what == "prior"):
             return f"{path}:{attribute}"  # checked for each task
         try:
             check_file(f"{path}:{attribute}", what)

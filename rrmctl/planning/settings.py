@@ -14,11 +14,12 @@ from pydantic import BaseModel, TypeAdapter, ValidationError
 from pydantic.fields import FieldInfo
 
 from rrm.errors import RrmError
+from rrm.toml import NestingError, loads
 from rrm.training.config import CONFIG_VERSION, RunConfig
 from rrmctl.errors import UserError, shown
 from rrmctl.planning.manifest import Settings, nearest
 from rrmctl.planning.profiles import Layer
-from rrmctl.planning.toml import loads, refuse_odd
+from rrmctl.planning.toml import refuse_odd
 
 #: Settings that say how long, how often and how much: the ones a profile shrinks in a manifest's numbers.
 AMOUNTS = (
@@ -236,6 +237,8 @@ def check_assignments(settings: Mapping[str, Any]) -> dict[str, Any]:
 def _value(text: str, where: str) -> Any:
     try:
         table = loads(f"value = {text}")
+    except NestingError as error:
+        raise UserError(f"{where}: {error}") from None
     except ValueError:
         table = {}
     if table.keys() == {"value"}:

@@ -1,4 +1,4 @@
-"""TOML as people write it, in manifests and after `--set`: read, and refused where no setting can be like that.
+"""TOML files as people write them: read, and refused where no setting can be like that.
 
 What passes can be shown in a message, written as JSON, and named to the file system: no integers beyond 64 bits, no
 tables within tables without end, no control characters.
@@ -7,14 +7,14 @@ tables within tables without end, no control characters.
 from __future__ import annotations
 
 import re
-import tomllib
 from pathlib import Path
 from typing import Any
 
+from rrm.files import read_bounded
+from rrm.toml import DEEPEST, loads
 from rrmctl.errors import UserError, shown
 
 _LARGEST_FILE = 2**18  # bytes; the largest of the project's own has two thousand
-_DEEPEST = 20
 _LONGEST_KEY = 100
 
 #: Null bytes, escape sequences and halves of characters. Line breaks and tabs may stand in a text, not in a key.
@@ -28,13 +28,7 @@ def read_toml(path: Path) -> dict[str, Any]:
         UserError: it cannot be read, or is not TOML; the message names file, line and column.
     """
     try:
-        if path.exists() and not path.is_file():  # a pipe may have no end
-            raise UserError(f"cannot read {path}: not a file")
-        with path.open("rb") as file:
-            data = file.read(_LARGEST_FILE + 1)
-        if len(data) > _LARGEST_FILE:
-            raise UserError(f"{path} is larger than {_LARGEST_FILE // 1024} KiB")
-        table = loads(data.decode("utf-8-sig"))
+        table = loads(read_bounded(path, _LARGEST_FILE).decode("utf-8-sig"))
     except UnicodeDecodeError as error:
         raise UserError(f"{path}: not UTF-8 text: {error.reason} at byte {error.start}") from None
     except ValueError as error:
@@ -43,22 +37,6 @@ def read_toml(path: Path) -> dict[str, Any]:
         raise UserError(f"cannot read {path}: {error.strerror}") from None
     refuse_odd(table, str(path))
     return table
-
-
-def loads(text: str) -> dict[str, Any]:
-    """The tables that a text describes.
-
-    Raises:
-        ValueError: it is not TOML; the message says why, with line and column.
-    """
-    try:
-        return tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise ValueError(f"not valid TOML: {error}") from None
-    except ValueError:  # Python's own limit
-        raise ValueError("not valid TOML: an integer of thousands of digits") from None
-    except RecursionError:
-        raise ValueError("nested too deeply") from None
 
 
 def refuse_odd(value: Any, where: str) -> None:
@@ -71,8 +49,8 @@ def refuse_odd(value: Any, where: str) -> None:
     while left:
         value, name, depth = left.pop()
         place = f"{where}: {name}" if name else where
-        if depth > _DEEPEST:
-            raise UserError(f"{place}: nested too deeply, in more than {_DEEPEST} tables and lists")
+        if depth > DEEPEST:
+            raise UserError(f"{place}: nested too deeply, in more than {DEEPEST} tables and lists")
         match value:
             case dict():
                 for key, inner in value.items():

@@ -10,7 +10,6 @@ from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -19,7 +18,7 @@ from rrmctl.errors import UserError
 from rrmctl.planning.settings import config_version
 from rrmctl.reports.series import NOTHING_ASKED, Label, Section
 from rrmctl.store.layout import Layout, RunFolder
-from rrmctl.store.provenance import made_with
+from rrmctl.store.provenance import made_with, version
 from rrmctl.store.reader import read_config
 
 if TYPE_CHECKING:
@@ -165,10 +164,7 @@ def _now(fact: str) -> str | None:
     """What a run made now would have; None where only a run can tell."""
     if fact == VERSION:
         return str(config_version())
-    try:
-        return metadata.version(fact)
-    except metadata.PackageNotFoundError:
-        return None
+    return version(fact)
 
 
 def _commands(section: Section, stale: Mapping[str, Sequence[Made]], results: str | Path) -> list[str]:

@@ -14,6 +14,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import rrm
 from rrmctl.machine import cpu_model
 from rrmctl.store import shape
 from rrmctl.store.atomic import read_json, write_json
@@ -54,7 +55,7 @@ def collect(config: Mapping[str, Any], fingerprint: Mapping[str, str], argv: Seq
         python=platform.python_version(),
         platform=f"{platform.system()} {platform.machine()}",
         cpu=cpu_model(),
-        versions={name: _version(name) for name in PACKAGES},
+        versions={name: version(name) or "absent" for name in PACKAGES},
         code=code_digest("rrm"),
         config=hashlib.sha256(json.dumps(config, sort_keys=True).encode()).hexdigest()[:16],
         fingerprint=dict(fingerprint),
@@ -130,6 +131,16 @@ def differences(before: Mapping[str, Any], after: Mapping[str, Any]) -> dict[str
     return {name: pair for name, pair in pairs.items() if pair[0] != pair[1]}
 
 
+def version(package: str) -> str | None:
+    """Of a package as it runs here; None where it is not installed. Ours is the sources', however they came here."""
+    if package == "rrmctl":
+        return rrm.__version__
+    try:
+        return importlib.metadata.version(package)
+    except importlib.metadata.PackageNotFoundError:
+        return None
+
+
 def code_digest(package: str) -> str:
     """Digest over the names and contents of a package's Python files, found without importing it."""
     spec = importlib.util.find_spec(package)
@@ -162,10 +173,3 @@ def _flat(facts: Mapping[str, Any]) -> dict[str, str]:
         else:
             flat[name] = str(value)
     return flat
-
-
-def _version(package: str) -> str:
-    try:
-        return importlib.metadata.version(package)
-    except importlib.metadata.PackageNotFoundError:
-        return "absent"

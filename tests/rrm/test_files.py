@@ -1,12 +1,35 @@
-"""Atomic writes."""
+"""Atomic writes, and reads that end."""
 
 import os
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
-from rrm.files import make_folder, write_atomically
+from rrm.files import make_folder, read_bounded, write_atomically
+
+
+def test_a_file_is_read_up_to_its_limit(tmp_path):
+    """A file of the limit's size is read, a larger one refused, by name."""
+    path = tmp_path / "a"
+    path.write_bytes(bytes(2048))
+    assert read_bounded(path, 2048) == bytes(2048)
+    with pytest.raises(OSError, match="longer than 2,047 bytes") as caught:
+        read_bounded(path, 2047)
+    assert caught.value.filename == str(path)
+
+
+@pytest.mark.parametrize("kind", ["pipe", "folder", "/dev/zero"])
+def test_what_is_no_regular_file_is_not_begun(tmp_path, kind):
+    """Nobody writes to the pipe, and the device has no end."""
+    os.mkfifo(tmp_path / "pipe")
+    (tmp_path / "folder").mkdir()
+    open_files = Path("/dev/fd")
+    before = {each.name for each in open_files.iterdir()}
+    with pytest.raises(OSError, match="not a regular file"):
+        read_bounded(tmp_path / kind, 2048)
+    assert {each.name for each in open_files.iterdir()} == before
 
 
 def test_a_file_is_replaced_as_a_whole(tmp_path):

@@ -99,6 +99,28 @@ def test_a_file_that_cannot_hold_the_name_is_refused_unrun(tmp_path, text, said)
         check_file(f"{tmp_path}/own.py:mine", "prior")
 
 
+@pytest.mark.parametrize("kind", ["learner", "prior"])
+def test_a_language_models_file_is_never_run(tmp_path, kind):
+    """Whoever asks for it, and under whatever name it is reached: neither planning nor the run imports it."""
+    own = tmp_path / "x.language.py"
+    own.write_text(f"open({str(tmp_path / 'ran')!r}, 'w')\nclass Learner: pass\n")
+    (tmp_path / "link.py").symlink_to(own)
+    (tmp_path / "Y.Language.py").symlink_to(own)
+    for name in ("x.language.py", "link.py", "Y.Language.py"):
+        for use in (check_file, lambda *given: lookup({}, *reversed(given))):
+            with pytest.raises(ConfigError, match=rf"{name}.*language model's code, which is never run as a {kind}"):
+                use(f"{tmp_path / name}:Learner", kind)
+    assert not (tmp_path / "ran").exists()
+
+
+def test_a_huge_file_is_not_parsed(tmp_path):
+    """Its size is enough to refuse it."""
+    with (tmp_path / "own.py").open("wb") as file:
+        file.truncate(3 << 30)
+    with pytest.raises(ConfigError, match=r"own\.py.*longer than 10,000,000 bytes"):
+        check_file(f"{tmp_path}/own.py:mine", "prior")
+
+
 def test_the_digest_follows_the_content(tmp_path):
     """Equal content, equal digest, wherever the file lies; our own names have none."""
     for name in ("a.py", "b.py"):

@@ -6,9 +6,13 @@ import os
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
+from itertools import islice
 from pathlib import Path
 
+import pytest
+
 from rrmctl import doctor
+from rrmctl.planning.experiments import SHIPPED
 
 
 def test_required_packages_are_found() -> None:
@@ -29,6 +33,14 @@ def test_absent_and_wrong_packages() -> None:
     assert wrong.state == "missing"
     assert "<1 is needed" in wrong.found
     assert doctor.package("no-such-package", ">=1", needed=False).state == "note"
+
+
+def test_a_clone_that_is_not_installed(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Without a record of its own needs, the first thing said is how to install it; the other checks follow."""
+    monkeypatch.setattr(doctor, "DISTRIBUTION", "no-such-package")
+    first, second = islice(doctor.examine(Path("results"), None), 2)
+    assert (first.state, second.name) == ("missing", "simulators")
+    assert "-m pip install --editable" in first.fix
 
 
 def test_rendering_is_a_note() -> None:
@@ -75,10 +87,12 @@ def test_results_that_are_no_folder(tmp_path: Path) -> None:
 
 
 def test_experiments_folder(tmp_path: Path) -> None:
-    """No manifest is missing; one is enough."""
-    assert {c.name: c.state for c in doctor.folders(tmp_path, tmp_path)}["experiments"] == "missing"
+    """Manifests of the user's are counted beside those of rrmctl; a folder that is named must be there."""
     (tmp_path / "one.toml").write_text("")
-    assert {c.name: c.found for c in doctor.folders(tmp_path, tmp_path)}["experiments"] == f"1 in {tmp_path}"
+    shipped = len(list(SHIPPED.glob("*.toml")))
+    (check,) = [c for c in doctor.folders(tmp_path, tmp_path) if c.name == "experiments"]
+    assert (check.state, check.found) == ("ok", f"{shipped} of rrmctl, 1 of yours")
+    assert {c.name: c.state for c in doctor.folders(tmp_path, tmp_path / "no")}["experiments"] == "missing"
 
 
 def test_vector_extensions(tmp_path: Path) -> None:

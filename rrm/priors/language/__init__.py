@@ -14,9 +14,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rrm.errors import ConfigError, RefusedCodeError
-from rrm.priors.language.record import SUFFIX, Record, read_record
+from rrm.priors.language.record import Record, parse_record, read_source
 from rrm.priors.language.translate import ENTRY, Admitted, admit
 from rrm.priors.language.words import OUTCOMES, TASK_FEATURES
+from rrm.registry import LANGUAGE
 
 if TYPE_CHECKING:
     from rrm.envs.tasks import Task
@@ -32,17 +33,17 @@ def language(step: PriorStep) -> float:
     return _shipped(step.task.name)(step)
 
 
-language.tasks = frozenset(path.name.removesuffix(SUFFIX) for path in FROZEN.glob(f"*{SUFFIX}"))  # type: ignore[attr-defined]
+language.tasks = frozenset(path.name.removesuffix(LANGUAGE) for path in FROZEN.glob(f"*{LANGUAGE}"))  # type: ignore[attr-defined]
 
 
 @cache
 def _shipped(task: str) -> Callable[[PriorStep], float]:
-    return load(f"{FROZEN / task}{SUFFIX}:{ENTRY}")
+    return load(f"{FROZEN / task}{LANGUAGE}:{ENTRY}")
 
 
 def is_frozen(name: str) -> bool:
     """True for `path/to/NAME.language.py:reward`, code that is never run as a module of the user's."""
-    return name.rpartition(":")[0].endswith(SUFFIX)
+    return name.rpartition(":")[0].endswith(LANGUAGE)
 
 
 def load(name: str) -> Callable[[PriorStep], float]:
@@ -88,8 +89,5 @@ def _admitted(name: str) -> tuple[Admitted, Record]:
     path = Path(location)
     if function != ENTRY:
         raise RefusedCodeError(f'prior "{name}": a language prior is called {ENTRY}, as in {location}:{ENTRY}')
-    try:
-        source = path.read_bytes()
-    except OSError as error:
-        raise ConfigError(f"cannot read {path} (named by {name!r}): {error.strerror}") from error
-    return admit(source, str(path)), read_record(path)
+    source = read_source(path)
+    return admit(source, str(path)), parse_record(source, path)

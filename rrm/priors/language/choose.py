@@ -18,10 +18,10 @@ from rrm.envs.tasks import Task
 from rrm.errors import ConfigError, PriorError, RrmError
 from rrm.files import make_folder, write_atomically
 from rrm.priors.language import check_reads
-from rrm.priors.language.child import try_out
-from rrm.priors.language.record import SUFFIX, Candidate, Record, freeze, sha256
-from rrm.priors.language.rollout import Doubles, Walk, walk
+from rrm.priors.language.record import Candidate, Record, freeze, read_source, sha256
+from rrm.priors.language.rollout import Doubles, Walk, values, walk
 from rrm.priors.language.translate import admit
+from rrm.registry import LANGUAGE
 
 _SEGMENT, _STRIDE = 50, 10  # steps; the paper's segments
 
@@ -42,7 +42,7 @@ def add(task: Task, paths: Sequence[Path], origin: Origin, folder: Path) -> tupl
         ConfigError: a file cannot be read, or there is a frozen prior already.
         PriorError: no candidate executes; says why, for each.
     """
-    target = folder / f"{task.name}{SUFFIX}"
+    target = folder / f"{task.name}{LANGUAGE}"
     if target.exists():
         raise ConfigError(f"{target} is frozen; move it away, or name another folder")
     for text in (origin.model, origin.date, *(path.name for path in paths)):
@@ -50,7 +50,7 @@ def add(task: Task, paths: Sequence[Path], origin: Origin, folder: Path) -> tupl
             raise ConfigError(f"{text!r} cannot stand in a record; use printable text")
     if len({path.name for path in paths}) < len(paths):
         raise ConfigError("two candidates have the same file name; the record tells them apart by it")
-    codes = [_read(path) for path in paths]
+    codes = [read_source(path) for path in paths]
     candidates = judge(task, paths, codes, walk(task))
     kept = best(candidates)
     if kept is None:
@@ -72,11 +72,12 @@ def judge(task: Task, paths: Sequence[Path], codes: Sequence[bytes], lived: Walk
     refused: dict[int, str] = {}
     for index, (path, code) in enumerate(zip(paths, codes, strict=True)):
         try:
-            check_reads(admit(code, path.name), task)
-            values = try_out(task, path, lived)
-            if np.ptp(values) == 0:
-                raise PriorError(f"{path.name}: says {values.flat[0]:g} of every step")
-            sums[index] = segment_sums(values)
+            admitted = admit(code, path.name)
+            check_reads(admitted, task)
+            said = values(admitted.function(), task, lived, path.name)
+            if np.ptp(said) == 0:
+                raise PriorError(f"{path.name}: says {said.flat[0]:g} of every step")
+            sums[index] = segment_sums(said)
         except RrmError as error:
             refused[index] = str(error)
     return [
@@ -115,10 +116,3 @@ def agreement(first: Doubles, second: Doubles) -> float:
 def _score(index: int, sums: dict[int, Doubles]) -> float | None:
     others = [agreement(sums[index], sums[other]) for other in sums if other != index]
     return round(float(np.mean(others)), 4) if others else None
-
-
-def _read(path: Path) -> bytes:
-    try:
-        return path.read_bytes()
-    except OSError as error:
-        raise ConfigError(f"cannot read {path}: {error.strerror}") from error

@@ -1,4 +1,7 @@
-"""Expressions of a language prior, built anew: arithmetic through guards, and no names but those of the vocabulary."""
+"""Expressions of a language prior, built anew: arithmetic through guards, and no names but those of the vocabulary.
+
+Each of them costs work, and whatever one gives passes one check of what it is and how large.
+"""
 
 from __future__ import annotations
 
@@ -7,7 +10,7 @@ from collections.abc import Iterable
 from functools import singledispatchmethod
 
 from rrm.priors.language.scope import Scope
-from rrm.priors.language.words import ACCESSORS, CONSTANTS, FUNCTIONS, OPERATORS
+from rrm.priors.language.words import ACCESSORS, CONSTANTS, FUNCTIONS, OPERATORS, VALUE
 
 _MOST_ITEMS = 32  # of a tuple, list or call
 _LARGEST = 1e9  # number written out
@@ -28,20 +31,16 @@ class Expressions:
             RefusedCodeError: the subset does not have it.
         """
         self._scope.spend(1, node)
-        return ast.copy_location(self._new(node), node)
+        new = ast.copy_location(self._new(node), node)
+        if isinstance(new, ast.Constant | ast.Name):  # numbers that are written out, and what has been checked already
+            return new
+        return ast.copy_location(_called(VALUE, [new]), node)
 
     def items(self, nodes: list[ast.expr], whole: ast.expr) -> list[ast.expr]:
         """The parts of a tuple, list or call that is written out."""
         if len(nodes) > _MOST_ITEMS:
             raise self._scope.refused(whole, f"{len(nodes)} items; {_MOST_ITEMS} are the most")
         return [self.translate(node) for node in nodes]
-
-    def operation(self, node: ast.BinOp | ast.AugAssign, left: ast.expr, right: ast.expr) -> ast.expr:
-        """`left + right` and its like, by way of the guards."""
-        name = type(node.op).__name__
-        if name not in OPERATORS:
-            raise self._scope.refused(node, "operators are + - * / // % **")
-        return _called(f"operator {name}", [left, right])
 
     @singledispatchmethod
     def _new(self, node: ast.expr) -> ast.expr:
@@ -53,12 +52,12 @@ class Expressions:
             raise self._scope.refused(node, "values that can be written are numbers, True and False")
         if not abs(node.value) <= _LARGEST:
             raise self._scope.refused(node, f"numbers are {_LARGEST:,.0f} at the most")
-        return ast.Constant(node.value)
+        return ast.Constant(float(node.value))
 
     @_new.register
     def _(self, node: ast.Name) -> ast.expr:
-        if not self._scope.knows(node.id):
-            raise self._scope.refused(node, "not a parameter, variable or constant of this code")
+        if not self._scope.has_value(node.id):
+            raise self._scope.refused(node, "not a parameter, variable or constant of this code, up to here")
         return ast.Name(node.id, ast.Load())
 
     @_new.register
@@ -75,7 +74,10 @@ class Expressions:
 
     @_new.register
     def _(self, node: ast.BinOp) -> ast.expr:
-        return self.operation(node, self.translate(node.left), self.translate(node.right))
+        name = type(node.op).__name__
+        if name not in OPERATORS:
+            raise self._scope.refused(node, "operators are + - * / // % **")
+        return _called(f"operator {name}", [self.translate(node.left), self.translate(node.right)])
 
     @_new.register
     def _(self, node: ast.UnaryOp) -> ast.expr:
@@ -104,7 +106,7 @@ class Expressions:
     @_new.register(ast.Tuple)
     @_new.register(ast.List)
     def _(self, node: ast.Tuple | ast.List) -> ast.expr:
-        return _called("row", self.items(node.elts, node))
+        return ast.Tuple(self.items(node.elts, node), ast.Load())
 
     @_new.register
     def _(self, node: ast.Call) -> ast.expr:
@@ -142,7 +144,7 @@ class Expressions:
                 return ast.Constant(node.value)
             case ast.UnaryOp(op=ast.USub(), operand=ast.Constant()):
                 return ast.UnaryOp(ast.USub(), self._index(node.operand))
-            case ast.Name() if node.id in self._scope.counters:
+            case ast.Name() if self._scope.counts(node.id):
                 return ast.Name(node.id, ast.Load())
             case _:
                 raise self._scope.refused(

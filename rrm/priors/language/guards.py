@@ -1,7 +1,7 @@
 """What the words of a language prior do when its code runs.
 
-Every function is bounded: it takes and gives numbers and small arrays of numbers, never Python integers without limit,
-objects or texts, and changes nothing that it is given.
+All that these functions are given has passed `checked`, and so does all that they give: numbers and small arrays of
+numbers, never Python integers without limit, objects or texts. They change nothing that they are given.
 """
 
 from __future__ import annotations
@@ -13,51 +13,60 @@ from typing import Any
 
 import numpy as np
 
-from rrm.priors.language.words import CONSTANTS, PLAIN_MATH, PLAIN_NUMPY
+from rrm.priors.language.words import CONSTANTS, PLAIN_MATH, PLAIN_NUMPY, VALUE
+from rrm.priors.step import Scene
 
 #: Numbers of an array, at the most, and its axes; the longest observation has 78 entries.
 LARGEST, MOST_AXES = 1024, 2
+_ITEMS = (float, int, np.ndarray, np.generic)  # of a row; an integer is a loop's counter
 
 
 def namespace() -> dict[str, Any]:
     """The globals of translated code: the vocabulary, and no builtins."""
-    return {"__builtins__": {}, **CONSTANTS, **FUNCTIONS, **OPERATIONS, "row": row}
+    return {"__builtins__": {}, **CONSTANTS, **FUNCTIONS, **OPERATIONS, VALUE: checked}
 
 
-def small(value: Any) -> Any:
-    """The value itself, unless it is an array too large to go on with."""
-    if isinstance(value, np.ndarray) and (value.size > LARGEST or value.ndim > MOST_AXES):
-        raise ValueError(f"an array of shape {value.shape}; {LARGEST} numbers along {MOST_AXES} axes are the most")
-    return value
+def checked(value: Any) -> Any:
+    """The value of any expression, unless code must not go on with it: a number, a small array, a flat row, a step.
+
+    Raises:
+        ValueError: an array is too large.
+        TypeError: it is something else, or a row holds more than numbers and arrays and so could nest without end.
+    """
+    if isinstance(value, float):
+        return value
+    if isinstance(value, np.ndarray):
+        if value.size > LARGEST or value.ndim > MOST_AXES:
+            raise ValueError(f"an array of shape {value.shape}; {LARGEST} numbers along {MOST_AXES} axes are the most")
+        return value
+    if isinstance(value, int):
+        return float(value)  # Python's unbounded integers end here
+    if isinstance(value, tuple):
+        for item in value:
+            if not isinstance(item, _ITEMS):
+                raise TypeError(f"a {type(item).__name__} inside a tuple or list; numbers and arrays can stand there")
+        return value
+    if isinstance(value, np.generic | Scene):
+        return value
+    raise TypeError(f"a {type(value).__name__} is no number, array or row of them")
 
 
 def number(value: Any) -> Any:
-    """An operand: arrays as they are, everything else as a float. Python's unbounded integers end here."""
+    """An operand: arrays as they are, everything else as a float."""
     return value if isinstance(value, float | np.ndarray) else float(value)
 
 
-def row(*items: Any) -> tuple[Any, ...]:
-    """A tuple or list that was written out: of numbers and arrays, never of rows, which could nest without end."""
-    for item in items:
-        if not isinstance(item, float | int | np.generic | np.ndarray):
-            raise TypeError(f"a {type(item).__name__} inside a tuple or list; numbers and arrays can stand there")
-    return items
-
-
 def _operation(call: Callable[[Any, Any], Any]) -> Callable[[Any, Any], Any]:
-    return lambda left, right: small(call(number(left), number(right)))
+    return lambda left, right: call(number(left), number(right))
 
 
 def _plain(value: Any) -> Any:
     """An argument of numpy's: rows become arrays of floats."""
-    return small(np.array(value, dtype=np.float64)) if isinstance(value, tuple) else number(value)
+    return checked(np.array(value, dtype=np.float64)) if isinstance(value, tuple) else number(value)
 
 
 def _of_numpy(call: Callable[..., Any]) -> Callable[..., Any]:
-    def bounded(*given: Any, **options: Any) -> Any:
-        return small(call(*map(_plain, given), **{name: _plain(value) for name, value in options.items()}))
-
-    return bounded
+    return lambda *given, **options: call(*map(_plain, given), **{name: _plain(options[name]) for name in options})
 
 
 def _of_floats(call: Callable[..., Any]) -> Callable[..., float]:

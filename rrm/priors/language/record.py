@@ -8,14 +8,15 @@ from __future__ import annotations
 
 import hashlib
 import json
-import tomllib
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 from rrm.errors import ConfigError
+from rrm.files import read_bounded
+from rrm.toml import loads
 
-SUFFIX = ".language.py"
+LARGEST = 200_000  #: bytes of a file with a candidate or a frozen prior
 _BEGIN, _END = "# /// language-prior", "# ///"
 
 
@@ -57,25 +58,34 @@ def freeze(record: Record, code: bytes) -> bytes:
     return "\n".join([*lines, _END, "", ""]).encode() + code
 
 
-def read_record(path: Path) -> Record:
-    """The record of a frozen file.
+def read_source(path: Path) -> bytes:
+    """What is in the file of a candidate or a frozen prior.
 
     Raises:
-        ConfigError: the file cannot be read, or has no record or a damaged one.
+        ConfigError: it cannot be read, is no regular file or larger than `LARGEST`.
     """
     try:
-        lines = path.read_text(encoding="utf-8").split("\n")
-    except (OSError, UnicodeDecodeError) as error:
-        raise ConfigError(f"cannot read {path}: {error}") from error
+        return read_bounded(path, LARGEST)
+    except OSError as error:
+        raise ConfigError(f"cannot read {path}: {error.strerror}") from error
+
+
+def parse_record(source: bytes, path: Path) -> Record:
+    """The record at the top of a frozen file's content.
+
+    Raises:
+        ConfigError: it has none, or a damaged one.
+    """
+    lines = source.decode(errors="replace").split("\n")
     if _BEGIN not in lines or _END not in lines[lines.index(_BEGIN) :]:
         raise ConfigError(f"{path} has no record ({_BEGIN} ... {_END}); `rrmctl prior language add` writes one")
     begin = lines.index(_BEGIN) + 1
     block = lines[begin : lines.index(_END, begin)]
     try:
-        fields: dict[str, Any] = tomllib.loads("\n".join(line.removeprefix("#") for line in block))
+        fields: dict[str, Any] = loads("\n".join(line.removeprefix("#") for line in block))
         candidates = tuple(Candidate(**candidate) for candidate in fields.pop("candidates"))
         return Record(**fields, candidates=candidates)
-    except (tomllib.TOMLDecodeError, TypeError, KeyError) as error:
+    except (ValueError, TypeError, KeyError) as error:
         raise ConfigError(f"{path}: its record is damaged: {error}") from error
 
 

@@ -2,18 +2,25 @@
 
 from __future__ import annotations
 
-import io
-from dataclasses import asdict, dataclass
+import time
+import warnings
+from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
 from rrm.envs.tasks import Task, make
+from rrm.errors import PriorError
 from rrm.interfaces import Floats
+from rrm.priors.evaluate import evaluate_prior
+from rrm.priors.step import PriorStep, Scene
 from rrm.seeding import Streams
 
 EPISODES = 4
 _HELD = 25  # steps for which an action of every other episode is held: single ones cancel out and lead nowhere
+
+SECONDS = 60  #: that a candidate may take for a walk; a single step always ends
 
 Doubles = npt.NDArray[np.float64]
 
@@ -25,18 +32,6 @@ class Walk:
     obs: Floats  #: [N, T, O], before each step
     act: Floats  #: [N, T, A]
     outcomes: Doubles  #: [N, T, K], in the order of `Task.outcomes`
-
-    def encode(self) -> bytes:
-        """For another process; `decode` is the inverse."""
-        buffer = io.BytesIO()
-        np.savez(buffer, allow_pickle=False, **asdict(self))
-        return buffer.getvalue()
-
-    @classmethod
-    def decode(cls, data: bytes) -> Walk:
-        """What `encode` made."""
-        with np.load(io.BytesIO(data), allow_pickle=False) as arrays:
-            return cls(**arrays)
 
 
 def walk(task: Task) -> Walk:
@@ -57,3 +52,29 @@ def walk(task: Task) -> Walk:
     finally:
         env.close()
     return Walk(obs, drawn, outcomes)
+
+
+def values(
+    prior: Callable[[PriorStep], float], task: Task, lived: Walk, name: str, seconds: float = SECONDS
+) -> Doubles:
+    """The prior's value of every step, as a run would show it, float64 [N, T].
+
+    Raises:
+        PriorError: it fails, or is too slow to train with.
+    """
+    rng = np.random.default_rng(0)  # part of a step, and out of the code's reach
+    result = np.empty(lived.outcomes.shape[:2])
+    end = time.monotonic() + seconds
+    with warnings.catch_warnings(action="ignore"):  # of numpy, about numbers that are seen to be finite here
+        for episode, step in np.ndindex(result.shape):
+            obs, info = (
+                lived.obs[episode],
+                dict(zip(task.outcomes, lived.outcomes[episode, step].tolist(), strict=True)),
+            )
+            seen = PriorStep(task, obs[step], lived.act[episode, step], info, rng, Scene(task, obs[0]))
+            result[episode, step] = evaluate_prior(prior, seen, f"{name} at step {step}")
+            if time.monotonic() > end:
+                raise PriorError(
+                    f"{name}: too slow, {step + 1 + episode * len(obs):,} steps took more than {seconds:g} s"
+                )
+    return result

@@ -22,6 +22,9 @@ CONSTANTS: Mapping[str, float] = {
 #: Operators, by the name of their syntax node.
 OPERATORS = ("Add", "Sub", "Mult", "Div", "FloorDiv", "Mod", "Pow")
 
+#: What every expression's value passes through, under a name that no code can spell.
+VALUE = "checked value"
+
 
 class Signature(NamedTuple):
     """How a function can be called."""

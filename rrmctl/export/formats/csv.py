@@ -9,10 +9,10 @@ exactly.
 from __future__ import annotations
 
 import json
-from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import rrm
 from rrmctl.export.bundle import COLUMNS, RUN_COLUMNS, Bundle, Field
 from rrmctl.store.atomic import write_bytes
 from rrmctl.store.inventory import table
@@ -81,7 +81,7 @@ def _dictionary(bundle: Bundle, run_columns: list[str]) -> dict[str, Any]:
         "name": bundle.experiment,
         "title": f"Evaluations of the experiment {bundle.experiment}",
         "version": str(CSV_VERSION),
-        "generator": {"rrmctl": metadata.version("rrmctl"), "store_schema_version": SCHEMA_VERSION},
+        "generator": {"rrmctl": rrm.__version__, "store_schema_version": SCHEMA_VERSION},
         "resources": [
             _resource("evaluations", COLUMNS),
             _resource("runs", {name: (RUN_COLUMNS | OTHER_RUN_COLUMNS)[name] for name in run_columns}),

@@ -115,7 +115,7 @@ def _write_offline(contents: Sequence[Mapping[str, Any]], folder: Path) -> None:
     own = {name: value for name, value in os.environ.items() if not name.startswith("WANDB_")}
     places = {f"WANDB_{name}_DIR": str(folder / name.lower()) for name in ("CACHE", "CONFIG", "DATA", "ARTIFACT")}
     ended = subprocess.run(
-        [sys.executable, "-m", "rrmctl.export.offline", str(folder)],
+        [sys.executable, "-P", "-m", "rrmctl.export.offline", str(folder)],
         input=json.dumps(contents),
         env=own | places | {"WANDB_MODE": "offline", "WANDB_ERROR_REPORTING": "false"},
         capture_output=True,

@@ -9,9 +9,10 @@ import base64
 import hashlib
 import shlex
 from collections.abc import Iterator, Sequence
-from importlib import metadata, resources
+from importlib import resources
 from pathlib import Path
 
+import rrm
 from rrmctl.errors import UserError
 from rrmctl.reports import names as asked
 from rrmctl.reports.accounts import total
@@ -105,7 +106,7 @@ def _command(
 
 def _made(command: str, written: str) -> Html:
     """How the page came about."""
-    told = f"Written by rrmctl {metadata.version('rrmctl')}" + (f", {written}" if written else "") + ", with"
+    told = f"Written by rrmctl {rrm.__version__}" + (f", {written}" if written else "") + ", with"
     return element("p", told, " ", element("code", command))
 
 

@@ -138,3 +138,16 @@ def test_shell_completion(typed: str, offered: str) -> None:
         [sys.executable, "-c", code], env={**os.environ, **asked}, cwd=ROOT, capture_output=True, text=True, check=False
     )
     assert offered in done.stdout.split()
+
+
+def test_files_that_lie_around_are_no_modules(tmp_path: Path) -> None:
+    """A folder may hold files named like libraries: no process of the program takes them for these."""
+    for name in ("numpy", "json"):
+        (tmp_path / f"{name}.py").write_text("raise SystemExit('not the library')")
+    for code, said in {
+        "from rrmctl.cli.app import main; main()": "none run yet",
+        "from rrmctl import doctor; print(doctor._try('import numpy'))": "None",
+    }.items():
+        command = [sys.executable, "-P", "-c", code, "plan", "toy-car"]
+        done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+        assert said in done.stdout, done.stderr

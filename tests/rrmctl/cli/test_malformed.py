@@ -468,7 +468,7 @@ ENDLESS = f"[defaults]\nsteps = {2**53}\nfeedback.every = 1\nfeedback.budget = {
             GOOD.replace("mine", "..") + '[method.".."]\nlearner = "pebble"', "'..'", id="a folder for a name"
         ),
         pytest.param(GOOD.replace("mine", "pebble") + ENDLESS, "feedback.every", id="sessions without end"),
-        pytest.param(GOOD.replace("T", "T" * 300_000), "larger than", id="a very large file"),
+        pytest.param(GOOD.replace("T", "T" * 300_000), "longer than", id="a very large file"),
         pytest.param(f'{GOOD}default_profile = "x"', "broken.toml: default_profile", id="which profile is unknown"),
     ],
 )

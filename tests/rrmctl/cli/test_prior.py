@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import subprocess
 import sys
@@ -10,9 +11,10 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner, Result
 
-from rrm.priors.language.record import read_record, sha256
+from rrm.priors.language.record import sha256
 from rrmctl.cli.app import app
 from rrmctl.store import load
+from tests.rrm.priors.language.steps import recorded
 
 EXPERIMENTS = Path(__file__).parents[3] / "experiments"
 WHO = ["--model", "M 1", "--date", "2026-01-02"]
@@ -63,7 +65,7 @@ def test_add(tmp_path: Path) -> None:
     assert shown[1].startswith("* near.py: 0.9")
     assert shown[2].startswith("  nearer.py: 0.9")
     assert "toy-car.language.py:reward" in shown[-1]
-    record = read_record(tmp_path / "mine" / "toy-car.language.py")
+    record = recorded(tmp_path / "mine" / "toy-car.language.py")
     assert (record.model, record.date, record.prompt_sha256) == ("M 1", "2026-01-02", sha256(b"Please."))
 
 
@@ -72,7 +74,7 @@ def test_add_beside_the_experiments(tmp_path: Path) -> None:
     result = call("add", "toy-car", *answers(tmp_path, near=NEAR), *WHO, "--experiments", tmp_path / "experiments")
     assert result.exit_code == 0, result.stderr
     assert "* near.py: the only one left" in result.stdout
-    record = read_record(tmp_path / "priors" / "toy-car.language.py")
+    record = recorded(tmp_path / "priors" / "toy-car.language.py")
     assert record.prompt_sha256 == sha256(call("prompt", "toy-car", "--skeleton").stdout.encode())
 
 
@@ -98,6 +100,76 @@ def test_nothing_usable(tmp_path: Path) -> None:
     assert result.exit_code == 2
     assert "no candidate can be used" in result.stderr
     assert "bad.py, line 1" in result.stderr
+
+
+#: Candidates that once hung `add` or training, ate memory or ended with a traceback, and what is said of them.
+HOSTILE = {
+    "loops": (
+        "def reward(step):\n    if step.object[1] > 2.1:\n"
+        + "".join(f"{'    ' * (n + 2)}for i{n} in range(100):\n" for n in range(10))
+        + "    " * 12 + "pass\n    return step.object[0]\n",
+        "would take more than 15,000 operations",
+    ),
+    "wide": (
+        "def reward(step):\n    x = step.obs\n    for i in range(40):\n"
+        "        x = x == (" + "x, " * 32 + ")\n    return 0.0\n",
+        "at step 0 raised ValueError: an array of shape",
+    ),
+    "hex": ("def reward(step):\n    return 0x" + "f" * 3600 + "\n", "numbers are 1,000,000,000 at the most"),
+}  # fmt: skip
+
+
+def test_a_good_candidate_among_hostile_ones(tmp_path: Path) -> None:
+    """Each is refused for its own reason, and the good one is kept."""
+    files = answers(tmp_path, near=NEAR, **{name: text for name, (text, _) in HOSTILE.items()})
+    result = call("add", "toy-car", *files, *WHO, "--into", tmp_path / "mine")
+    assert result.exit_code == 0, result.stderr
+    assert "* near.py: the only one left" in result.stdout
+    for name, (_, said) in HOSTILE.items():
+        assert re.search(rf"{name}\.py.*{said}", result.stdout)
+
+
+def test_what_is_no_file_of_code(tmp_path: Path) -> None:
+    """A pipe, a device and a huge file: none is read without end, be it a candidate, the prompt or a frozen prior."""
+    os.mkfifo(tmp_path / "pipe.language.py")
+    with (tmp_path / "huge.language.py").open("wb") as file:
+        file.truncate(3 << 30)
+    (tmp_path / "zero.language.py").symlink_to("/dev/zero")
+    (near,) = answers(tmp_path, near=NEAR)
+    for name in ("pipe", "huge", "zero"):
+        odd = tmp_path / f"{name}.language.py"
+        for result in (
+            call("add", "toy-car", near, odd, *WHO, "--into", tmp_path / "mine"),
+            call("add", "toy-car", near, *WHO, "--prompt", odd, "--into", tmp_path / "mine"),
+            CliRunner().invoke(app, ["plan", str(manifest(tmp_path, f"{odd}:reward"))]),
+            CliRunner().invoke(app, ["plan", "toy-car", "--prior", f"{odd}:reward"]),
+        ):
+            assert result.exit_code == 2
+            assert re.search(r"cannot\s+read", result.stderr)
+            assert re.search(r"not\s+a\s+regular\s+file|longer\s+than", result.stderr)
+
+
+def test_a_language_models_file_is_no_learner(tmp_path: Path) -> None:
+    """Planning refuses it, and nothing runs it."""
+    (tmp_path / "pwn.language.py").write_text(f"open({str(tmp_path / 'ran')!r}, 'w')\nclass Learner: pass\n")
+    path = manifest(tmp_path, "zero")
+    path.write_text(
+        path.read_text().replace("[method.rrm-mine]", '[method.rrm-mine]\nlearner = "pwn.language.py:Learner"')
+    )
+    result = CliRunner().invoke(app, ["run", str(path), "--results", str(tmp_path / "results")])
+    assert result.exit_code == 2
+    assert "never run as a learner" in " ".join(result.stderr.split())
+    assert not (tmp_path / "ran").exists()
+
+
+def test_a_language_prior_is_one_wherever_its_file_lies(tmp_path: Path) -> None:
+    """A link with the name of a language prior leads to code that is rebuilt, not run."""
+    (tmp_path / "elsewhere.py").write_text(f"open({str(tmp_path / 'ran')!r}, 'w')\ndef reward(step): return 0.0\n")
+    (tmp_path / "mine.language.py").symlink_to(tmp_path / "elsewhere.py")
+    result = CliRunner().invoke(app, ["plan", str(manifest(tmp_path, "mine.language.py:reward"))])
+    assert result.exit_code == 2
+    assert "mine.language.py, line 1: `open" in " ".join(result.stderr.split())
+    assert not (tmp_path / "ran").exists()
 
 
 def manifest(folder: Path, prior: str, tasks: str = '"toy-car"') -> Path:

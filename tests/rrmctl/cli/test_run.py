@@ -61,6 +61,18 @@ def test_a_sweep_that_is_done_is_not_run_again(tmp_path: Path) -> None:
     assert sorted(path.name for path in Layout(tmp_path).run(ids[0]).path.iterdir()) == ["config.json", "status.json"]
 
 
+def test_the_manifests_closing_is_said_where_all_is_done(tmp_path: Path) -> None:
+    """Below the next commands, once everything is there; after a failure there is nothing yet to be read."""
+    manifest = tmp_path / "toy-car.toml"
+    manifest.write_text('closing = """\nOne line [/b],\nanother."""\n' + (EXPERIMENTS / "toy-car.toml").read_text())
+    asked = ["run", manifest, *PLAN[3:], "--methods", "oracle", "--seeds", "1", "--results", tmp_path]
+    settle(tmp_path, State.DONE, "1")
+    said = call(*asked)
+    assert (said.exit_code, said.stdout.splitlines()[-4:]) == (0, ["", "One line [/b],", "another.", ""])
+    settle(tmp_path, State.FAILED, "1", error=ERROR)
+    assert "another" not in call(*asked).stdout
+
+
 def test_the_introduction_bears_profiles_that_cannot_hold_the_request(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -126,26 +126,3 @@ def test_unreadable_files(tmp_path: Path) -> None:
             manifest.load(tmp_path / name)
     with pytest.raises(UserError, match="name is made of"):
         manifest.load(write(tmp_path, GOOD, "two words.toml"))
-
-
-def test_find(tmp_path: Path) -> None:
-    """A name is looked up in the folder, a path is taken as it is, and a near miss is suggested."""
-    path = write(tmp_path, GOOD, "main-results.toml")
-    assert manifest.find("main-results", tmp_path) == path
-    assert manifest.find(str(path), tmp_path / "elsewhere") == path
-    with pytest.raises(UserError, match='did you mean "main-results"'):
-        manifest.find("main-result", tmp_path)
-    with pytest.raises(UserError, match="no file"):
-        manifest.find("absent.toml", tmp_path)
-    (tmp_path / "inner.toml").mkdir()
-    for folder in (tmp_path, tmp_path / "inner.toml"):
-        with pytest.raises(UserError, match="is a folder"):
-            manifest.find(str(folder), tmp_path)
-
-
-def test_no_experiments(tmp_path: Path) -> None:
-    """A missing or empty folder says how to name another."""
-    for folder in (tmp_path, tmp_path / "absent"):
-        with pytest.raises(UserError) as caught:
-            manifest.available(folder)
-        assert "--experiments" in str(caught.value.hint)

@@ -3,6 +3,7 @@
 import numpy as np
 
 from rrm.envs import task
+from rrm.priors.language.record import parse_record, read_source
 from rrm.priors.step import PriorStep, Scene
 
 
@@ -21,3 +22,8 @@ def code(body, before=""):
     """A file whose reward function has this body."""
     lines = "\n".join(f"    {line}" for line in body.strip("\n").split("\n"))
     return f"import numpy as np\nimport math\n{before}\n\ndef reward(step):\n{lines}\n".encode()
+
+
+def recorded(path):
+    """The record of a frozen file."""
+    return parse_record(read_source(path), path)

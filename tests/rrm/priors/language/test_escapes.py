@@ -1,6 +1,8 @@
 """What a model's code may never do: known ways out of restricted Python, each refused with its line."""
 
-import ast
+import dis
+import re
+from types import CodeType
 
 import numpy as np
 import pytest
@@ -11,7 +13,7 @@ from rrm.errors import PriorError, RefusedCodeError, RrmError
 from rrm.priors import evaluate_prior
 from rrm.priors.language.guards import FUNCTIONS, OPERATIONS, namespace
 from rrm.priors.language.translate import admit
-from rrm.priors.language.words import ACCESSORS
+from rrm.priors.language.words import ACCESSORS, VALUE
 from rrm.priors.language.words import FUNCTIONS as SIGNATURES
 from tests.rrm.priors.language.steps import code, random_step
 
@@ -231,7 +233,7 @@ FILES = [
     "def f(x):\n    f.x = 1\n    return 1",
     "def f(x):\n    np = x\n    return 1",
     "def f(x):\n    abs = x\n    return 1",
-    "def f(x):\n    row = x\n    return 1",
+    "def f(x):\n    range = x\n    return 1",
 ]
 
 
@@ -255,12 +257,13 @@ def test_files(before):
         ("# \u202e tfel ot thgir\n".encode(), "line 1: an invisible character"),
         (b"x = 1\x0cimport os\n", "line 1: an invisible character"),
         (b"x = '\x00'\n", "line 1: an invisible character"),
-        (b"x = " + b"(" * 150 + b"1" + b")" * 150, "too many nested parentheses|no function"),
+        (b"x = " + b"(" * 150 + b"1" + b")" * 150, "nested parentheses|no function"),
         (b"x = " + b"(" * 5000 + b"1" + b")" * 5000, "too many nested parentheses"),
-        (b"x = " + b"-" * 1000 + b"1", "nested too deeply|RecursionError"),
-        (b"x = " + b"-" * 15_000 + b"1", "nested too deeply|RecursionError|MemoryError"),
-        (b"x = " + b"1+" * 9000 + b"1", "nested too deeply|RecursionError|MemoryError"),
-        (b"x = 1\n" * 5000, "characters; 20,000 are the most"),
+        (b"x = " + b"-" * 1000 + b"1", "nested too deeply"),
+        (b"x = " + b"(lambda: " * 70 + b"1" + b")" * 70, "line 1: nested too deeply"),
+        (b"x = " + b"-" * 15_000 + b"1", "nested too deeply"),
+        (b"x = " + b"1+" * 9000 + b"1", "nested too deeply"),
+        (b"x = 1\n" * 5000, r"line 4001: more than 20,000 characters of code"),
         (b"x = (" + b"1," * 33 + b")", "33 items; 32 are the most"),
     ],
 )
@@ -273,12 +276,12 @@ def test_shapes(source, said):
 def test_work_is_counted_through_loops_and_calls():
     """Nested loops multiply, and so do calls of functions that call others: what would take forever is not begun."""
     loops = "x = 0.0\nfor i in range(100):\n    for j in range(100):\n        x += 1.0\nreturn x"
-    with pytest.raises(RefusedCodeError, match=r"line 9: .*more than 5000 operations"):
+    with pytest.raises(RefusedCodeError, match=r"line 9: .*more than 15,000 operations"):
         admit(code(loops), "a.py")
     doubling = "def f0(x):\n    return x + 1.0\n"
     for level in range(1, 40):
         doubling += f"def f{level}(x):\n    return f{level - 1}(x) + f{level - 1}(x)\n"
-    with pytest.raises(RefusedCodeError, match="more than 5000 operations"):
+    with pytest.raises(RefusedCodeError, match="more than 15,000 operations"):
         admit(code("return f39(1.0)", doubling), "a.py")
 
 
@@ -325,7 +328,7 @@ def test_nothing_of_python_is_within_reach():
     """The code's globals are the vocabulary; it has no builtins, and `import` finds no `__import__`."""
     room = namespace()
     assert room["__builtins__"] == {}
-    assert set(room) == {"__builtins__", "row", *SIGNATURES, *OPERATIONS} | {
+    assert set(room) == {"__builtins__", VALUE, *SIGNATURES, *OPERATIONS} | {
         n for n in room if isinstance(room[n], float)
     }
     assert set(SIGNATURES) == set(FUNCTIONS)
@@ -389,7 +392,15 @@ def expressions(draw, depth=4):
     )  # fmt: skip
 
 
-@settings(max_examples=600)
+def instructions(code):
+    """What a code object and those inside it do: operation, argument, and the argument in words."""
+    for part in dis.get_instructions(code):
+        yield part.opname, part.arg, part.argrepr
+        if isinstance(part.argval, CodeType):
+            yield from instructions(part.argval)
+
+
+@settings(max_examples=300)
 @given(expressions())
 def test_whatever_is_admitted_is_harmless(expression):
     """Random code is refused, fails as a prior, or gives a number; what is run names only what it may."""
@@ -401,12 +412,12 @@ def test_whatever_is_admitted_is_harmless(expression):
     except RefusedCodeError:
         return
     known = {*namespace(), "step", "x", "i", "f", "W", "reward"} - {"__builtins__"}
-    for node in ast.walk(admitted.tree):
-        assert not isinstance(node, ast.Lambda | ast.NamedExpr | ast.JoinedStr | ast.ListComp | ast.Starred | ast.BinOp)
-        if isinstance(node, ast.Name):
-            assert node.id in known
-        if isinstance(node, ast.Attribute):
-            assert node.attr in ACCESSORS
+    for name, _, text in instructions(admitted.code):
+        assert not re.search(r"DEREF|CLOSURE|BINARY_OP|STORE_(ATTR|SUBSCR)|IMPORT|UNPACK_EX|FORMAT|YIELD", name)
+        if re.search(r"LOAD_(NAME|GLOBAL|FAST)", name):
+            assert text.removeprefix("NULL + ") in known
+        if name in ("LOAD_ATTR", "LOAD_METHOD"):
+            assert text in ACCESSORS
     with np.errstate(all="ignore"):
         try:
             evaluate_prior(admitted.function(), random_step("button-press", np.random.default_rng(0)), "x")

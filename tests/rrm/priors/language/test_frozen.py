@@ -12,10 +12,11 @@ from rrm.errors import ConfigError, PriorError
 from rrm.priors import check_prior, load_prior
 from rrm.priors.language import FROZEN, check, load
 from rrm.priors.language.prompt import make_prompt
-from rrm.priors.language.record import Candidate, Record, freeze, read_record, sha256
+from rrm.priors.language.record import Candidate, Record, freeze, sha256
+from rrm.priors.language.translate import admit
 from rrm.priors.step import PriorStep, Scene
 from rrm.training.config import RunConfig
-from tests.rrm.priors.language.steps import code, random_step
+from tests.rrm.priors.language.steps import code, random_step, recorded
 
 every_task = pytest.mark.parametrize("name", TASKS)
 
@@ -42,7 +43,7 @@ def test_every_task_has_one(name):
     """It passes the checker, reads what its task reveals, and its record says what it is."""
     check(f"{shipped(name)}:reward", task(name))
     check_prior("language", task(name))
-    record = read_record(shipped(name))
+    record = recorded(shipped(name))
     text = shipped(name).read_bytes()
     assert record.task == name
     assert record.candidates[0].sha256 == sha256(text[text.index(b"# ///\n\n") + 7 :])
@@ -50,12 +51,25 @@ def test_every_task_has_one(name):
     assert record.model == ("GPT-5" if name == "walker-walk" else "stand-in")
 
 
+@every_task
+def test_it_computes_what_python_computes(name):
+    """To the last bit: being rebuilt and checked changes no value but that a float32 becomes a float earlier."""
+    room: dict = {}
+    source = shipped(name).read_bytes()
+    exec(source, room)
+    off = 1e-6 if admit(source, name).reads & {"obs", "act"} else 0.0
+    prior, rng = load_prior("language"), np.random.default_rng(0)
+    for _ in range(200):
+        step = random_step(name, rng)
+        assert float(prior(step)) == pytest.approx(float(room["reward"](step)), rel=off, abs=0.0)
+
+
 @pytest.mark.sim
 @every_task
 def test_the_prompt_is_the_one_of_today(name):
     """The recorded prompt is what the installed simulator gives: another release would be another prompt."""
     prompt = make_prompt(task(name), skeleton=name != "walker-walk")
-    assert read_record(shipped(name)).prompt_sha256 == sha256(prompt.encode())
+    assert recorded(shipped(name)).prompt_sha256 == sha256(prompt.encode())
 
 
 @every_task
@@ -119,7 +133,7 @@ def test_arms_praise_progress(name):
 def test_records_survive(tmp_path):
     """What is frozen is read back, quotes and all, and the code under it runs."""
     name, record = frozen(tmp_path)
-    assert read_record(tmp_path / "mine.language.py") == record
+    assert recorded(tmp_path / "mine.language.py") == record
     step = random_step("toy-car", np.random.default_rng(0))
     assert load_prior(name)(step) == step.hand[0]
 
@@ -162,6 +176,8 @@ def test_a_frozen_file_is_never_run_as_a_module(tmp_path):
         (("# task", "# tusk"), "damaged"),
         (("[[candidates]]", "[candidates"), "damaged"),
         (("# ///\n", "\n"), "no record"),
+        (("score = 0.5", "score = " + "9" * 5000), "damaged"),
+        (("score = 0.5", "score = " + "[" * 5000), "damaged"),
     ],
 )
 def test_damaged_records(tmp_path, change, said):

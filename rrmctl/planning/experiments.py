@@ -1,0 +1,52 @@
+"""Which experiments there are: those that come with the program, and over them those of a folder of the user's."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from rrmctl.errors import UserError
+
+_BUILT = Path(__file__).resolve().parents[1] / "experiments"
+#: The manifests that come with the program: in a built package within it, in the repository beside it.
+SHIPPED = _BUILT if _BUILT.is_dir() else _BUILT.parents[1] / "experiments"
+#: Where the user's are, in the working directory, unless they say otherwise.
+OWN = Path("experiments")
+
+
+def available(folder: Path | None) -> dict[str, Path]:
+    """Every manifest by the experiment's name; one in the folder stands in place of a shipped one of its name.
+
+    Args:
+        folder: of the user's manifests; None for `OWN`, which need not be there.
+
+    Raises:
+        UserError: there is no such folder.
+    """
+    if folder is not None and not folder.is_dir():
+        raise UserError(f"there is no folder {folder}", "name another with --experiments DIR or RRMCTL_EXPERIMENTS")
+    return dict(sorted({path.stem: path for each in (SHIPPED, folder or OWN) for path in each.glob("*.toml")}.items()))
+
+
+def replaced(found: dict[str, Path]) -> list[str]:
+    """Names of the shipped experiments in place of which another file stands."""
+    return [name for name, path in found.items() if path.parent.resolve() != SHIPPED and (SHIPPED / path.name).exists()]
+
+
+def find(name: str, folder: Path | None) -> Path:
+    """The manifest of the experiment `name`, or `name` itself where it is the path of a .toml file.
+
+    Raises:
+        UserError: there is none; the message suggests the nearest.
+    """
+    from rrmctl.planning.manifest import nearest
+
+    if name.endswith(".toml") and not Path(name).is_dir():
+        if not Path(name).exists():
+            raise UserError(f"there is no file {name}")
+        return Path(name)
+    found = available(folder)
+    if name not in found:
+        if name and Path(name).is_dir():
+            raise UserError(f"{name} is a folder", "name an experiment of `rrmctl list`, or one manifest (*.toml)")
+        raise UserError(f'no experiment "{name}"{nearest(name, found)}', f"known: {', '.join(found)}")
+    return found[name]
