@@ -11,11 +11,6 @@ from rrm.envs import make
 from rrm.training.config import RunConfig
 from rrm.training.demos import DemosConfig
 
-_PACKAGES = {
-    "metaworld": ("metaworld", "mujoco", "gymnasium"),
-    "dmc": ("dm-control", "mujoco", "gymnasium"),
-    "toy": ("gymnasium",),
-}
 _STEPS = 50
 
 
@@ -24,7 +19,7 @@ def fingerprint(config: RunConfig | DemosConfig) -> dict[str, str]:
 
     Rewards are rounded to six digits, so that machines that differ in the last bits agree.
     """
-    names = (*_PACKAGES[config.spec().suite], "numpy", "torch")
+    names = (*config.spec().packages, "numpy", "torch")
     return {name: version(name) for name in names} | {"true_reward": _reward_digest(config.task)}
 
 

@@ -50,6 +50,7 @@ _SIMULATOR_S = {
     "dmc": 1 / 3200, "walker-walk": 1 / 4900,
     "toy": 1 / 30_000,
 }  # fmt: skip
+_UNKNOWN_S = 1 / 1000  # of a simulator that nobody has measured
 _START_S = 3.0  # loading torch and the simulator in a process of its own
 _CALL_S = 0.0005  # an update's cost beside its products: launching operations, optimisers
 _ACT_S = 0.0003
@@ -163,7 +164,7 @@ def model_seconds(config: Config, gemm: float) -> float:
         gemm: floating-point operations per second of the core.
     """
     spec = config.spec()
-    step = _SIMULATOR_S.get(spec.name, _SIMULATOR_S[spec.suite]) + _ACT_S
+    step = _SIMULATOR_S.get(spec.name) or _SIMULATOR_S.get(spec.suite, _UNKNOWN_S) + _ACT_S
     if config.kind == "demos":
         return _START_S + config.steps * step
     agent = config.agent
