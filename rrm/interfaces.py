@@ -42,6 +42,7 @@ class Env(Protocol):
 
     observation_space: gymnasium.spaces.Box[np.float32]
     action_space: gymnasium.spaces.Box[np.float32]
+    horizon: int  #: steps of an episode
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Floats, dict[str, Any]]:
         """Start an episode; a seed restarts the stream from which task instances are drawn."""

@@ -48,6 +48,7 @@ class Parts:
 
     agent: Agent
     experience: Experience
+    replay: Replay
     prior: PriorSource | None
     phases: tuple[Phase, ...]  #: in their order; the first begins at step 0
 
@@ -68,7 +69,7 @@ def assemble(config: RunConfig, streams: Streams, results: Results) -> Parts:
     prior = _prior(config, streams, results)
     replay = Replay(experience, config.agent.batch, streams.torch("replay"))
     phases = _Phases(config, streams, results, experience, replay).all()
-    return Parts(agent=agent, experience=experience, prior=prior, phases=phases)
+    return Parts(agent=agent, experience=experience, replay=replay, prior=prior, phases=phases)
 
 
 def build_agent(config: RunConfig, streams: Streams) -> Agent:
