@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import datetime
 from pathlib import Path
 from typing import Annotated
 
@@ -37,9 +36,8 @@ def html(
     from rrmctl.store.atomic import StorageError, write_bytes
 
     chosen = [Path(name).stem if name.endswith(".toml") else name for name in names or ()]
-    now = datetime.datetime.now(datetime.UTC).strftime("%Y-%m-%d %H:%M UTC")
     settings = Settings(kind=kind.value, replicates=replicates)
-    page = build(results, chosen, profile=profile, settings=settings, allow_mixed=allow_mixed, written=now)
+    page = build(results, chosen, profile=profile, settings=settings, allow_mixed=allow_mixed)
     data = page.encode()
     try:
         write_bytes(output, data)

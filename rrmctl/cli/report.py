@@ -111,8 +111,6 @@ def _table(entry: Entry) -> Callable[..., None]:
         from rrmctl.reports.render import console_for, print_terminal, to_text
         from rrmctl.reports.select import of_profile, read_sections
         from rrmctl.reports.settings import Settings
-        from rrmctl.store.atomic import StorageError
-        from rrmctl.store.layout import Layout
 
         module = entry.load()
         settings = Settings(kind=kind.value, replicates=replicates, plus_minus=plus_minus)
@@ -124,11 +122,6 @@ def _table(entry: Entry) -> Callable[..., None]:
             print_terminal(shown, console_for())
         else:
             typer.echo(to_text(shown, form.value), nl=False)
-        try:
-            if hasattr(module, "keep"):
-                module.keep(Layout(results), found, settings)
-        except (StorageError, UserError) as error:  # the table is what was asked for, and it is there
-            typer.echo(f"note: the curves were not kept: {error}", err=True)
 
     return _without(command, {"plus_minus"} - set(entry.options))
 
