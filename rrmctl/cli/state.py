@@ -212,9 +212,10 @@ def _sections(layout: Layout, folder: RunFolder, lines: int) -> list[tuple[str, 
     note_damage(damage)
     uses = [(sweep, job) for sweep in sweeps for job in sweep.everything if job.id == folder.id]
     state = f"{now.state}, attempt {now.attempt}, step {now.step:,}" + (f" of {now.steps:,}" if now.steps else "")
+    gone = [f"{s.experiment}: {j.label}, superseded" for s in sweeps for j in s.superseded if j.id == folder.id]
     again = [rerun_command(layout, sweep, job) for sweep, job in uses if job in sweep.jobs]
     return [
-        (f"run {folder.id}", "\n".join([str(folder.path), *(f"{s.experiment}: {j.label}" for s, j in uses)])),
+        (f"run {folder.id}", "\n".join([str(folder.path), *(f"{s.experiment}: {j.label}" for s, j in uses), *gone])),
         ("state", state + (f"\n{now.error}" if now.error else "")),
         ("configuration", _or_damage(lambda: json.dumps(read_config(folder), indent=1))),
         ("provenance", _or_damage(lambda: _provenance(read_provenance(folder)))),

@@ -8,7 +8,7 @@ import os
 from collections.abc import Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 from rrmctl.errors import UserError
 from rrmctl.store import shape
@@ -17,7 +17,7 @@ from rrmctl.store.curve import decode
 from rrmctl.store.layout import Layout, RunFolder
 from rrmctl.store.records import ErrorKind, RunError, State, Status, read_status
 from rrmctl.store.schema import IDENTITY, LABELS, MEASURED, curve_schema
-from rrmctl.store.sweeps import JobRecord, SweepRecord, read_sweeps
+from rrmctl.store.sweeps import JobRecord, Requiring, SweepRecord, read_sweeps
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -40,18 +40,6 @@ def run_status(folder: RunFolder) -> Status:
     if status.state is State.RUNNING and not is_locked(folder.lock):
         return dataclasses.replace(status, state=State.INTERRUPTED)
     return status
-
-
-class Requiring(Protocol):
-    """A planned or recorded job."""
-
-    @property
-    def id(self) -> str:
-        """Of its run."""
-
-    @property
-    def requires(self) -> tuple[str, ...]:
-        """Ids of the runs that must be done before it."""
 
 
 def statuses(layout: Layout, jobs: Iterable[Requiring]) -> dict[str, Status]:
@@ -92,17 +80,21 @@ def read_config(folder: RunFolder) -> dict[str, Any]:
     """The run's `config.json`.
 
     Raises:
-        DamagedError: it is damaged, or lacks what every configuration has.
-        UserError: there is none, or it cannot be read now.
+        DamagedError: there is none, it is damaged, or lacks what every configuration has.
+        StorageError: it cannot be read now.
     """
-    config = read_json(folder.config)
+    try:
+        config = read_json(folder.config)
+    except DamagedError as error:
+        raise DamagedError(str(error), CONFIG_HINT) from error
     if config is None:
-        raise UserError(f"{folder.config} is missing", _CONFIG_HINT)
-    shape.check(config, _CONFIG, folder.config, _CONFIG_HINT)
+        raise DamagedError(f"{folder.config} is missing", CONFIG_HINT)
+    shape.check(config, _CONFIG, folder.config, CONFIG_HINT)
     return config
 
 
-_CONFIG_HINT = "run its experiment again: `rrmctl run NAME` writes it anew"
+#: What to do about a configuration that is not what it should be.
+CONFIG_HINT = "run its experiment again: `rrmctl run NAME` writes it anew"
 
 #: What the program itself reads; the rest is checked when the run starts.
 _CONFIG = dict.fromkeys(("id", "cell", "profile", "task", "method", "precision"), shape.TEXT) | dict.fromkeys(

@@ -10,7 +10,8 @@ import pytest
 
 from rrmctl.store import shape
 from rrmctl.store.layout import Layout
-from tests.rrmctl.cli.test_run import PLAN, call
+from rrmctl.store.records import State
+from tests.rrmctl.cli.test_run import PLAN, call, settle
 from tests.rrmctl.running.standin import prepare
 
 ORACLE = (*PLAN, "--methods", "oracle", "--seeds", "1")
@@ -47,15 +48,17 @@ def test_a_results_folder_of_another_version(
     assert held(tmp_path) == before
 
 
-def test_a_sweep_that_cannot_be_added_to_is_refused_before_anything_is_written(tmp_path: Path) -> None:
-    """Neither configurations nor runs are left behind."""
+def test_a_damaged_record_is_set_aside_and_written_again(tmp_path: Path) -> None:
+    """By the command that asks for the sweep, which says so; the bytes are kept."""
     path = Layout(tmp_path).sweep("toy-car", "smoke")
     path.parent.mkdir(parents=True)
     path.write_text("{")
+    settle(tmp_path, State.DONE, "1")
     result = call("run", *ORACLE, "--results", tmp_path)
-    assert result.exit_code == 2
-    assert "smoke.json cannot be read" in result.stderr
-    assert not (tmp_path / "runs").exists()
+    assert result.exit_code == 0, result.output
+    assert "smoke.json.corrupt-1 and written anew" in result.stderr
+    assert path.with_name("smoke.json.corrupt-1").read_text() == "{"
+    assert json.loads(call("status", "--json", "--results", tmp_path).stdout)["done"] == 1
 
 
 def test_no_space_while_a_sweep_is_recorded(tmp_path: Path) -> None:

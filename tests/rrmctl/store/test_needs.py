@@ -19,8 +19,8 @@ ERROR = RunError(kind=ErrorKind.REFUSED, type="DemosError", message="the expert 
 
 def job(digit: str, *requires: str, method: str = "rrm-imitation") -> JobRecord:
     return JobRecord(
-        id=digit * 16, cell=digit * 16, task="toy-car", method=method, teacher="-", feedback="-", seed=0, steps=10,
-        requires=tuple(each * 16 for each in requires),
+        id=digit * 16, cell=digit * 16, task="toy-car", method=method, teacher="-", feedback="-", seed=int(digit, 16),
+        steps=10, requires=tuple(each * 16 for each in requires),
     )  # fmt: skip
 
 
