@@ -9,6 +9,14 @@ from collections.abc import Iterator
 from pathlib import Path
 
 
+def place(path: str | Path) -> Path:
+    """A path as people write it: `~` at its start is their home folder, which not every shell and program replaces."""
+    try:
+        return Path(path).expanduser()
+    except RuntimeError:  # ~name of nobody: a file may be called so
+        return Path(path)
+
+
 def write_atomically(path: Path, data: bytes) -> None:
     """Replace `path` by `data`; after a crash it holds the old bytes or the new ones, never a mixture.
 

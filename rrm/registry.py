@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from rrm.errors import ConfigError, UnknownNameError
+from rrm.files import place
 
 #: With one of these at its top level a file may have names that reading it does not show.
 _OPEN = {"*", "__getattr__"}
@@ -107,6 +108,7 @@ def file_digest(path: Path, name: str) -> str:
     Raises:
         ConfigError: it cannot be read.
     """
+    path = place(path)
     try:
         if path.exists() and not path.is_file():  # a device may have no end
             raise ConfigError(f"cannot read {path} (named by {name!r}): not a file")
@@ -118,7 +120,7 @@ def file_digest(path: Path, name: str) -> str:
 def _located(name: str, kind: str) -> tuple[Path, str]:
     """File and attribute of `file.py:attribute`."""
     location, _, attribute = name.rpartition(":")
-    path = Path(location)
+    path = place(location)
     try:
         there = path.is_file()
     except OSError as error:

@@ -8,6 +8,8 @@ from typing import Annotated
 
 import typer
 
+from rrm.files import place
+
 DEFAULT_RESULTS = Path("results")
 DEFAULT_EXPERIMENTS = Path("experiments")
 
@@ -41,11 +43,13 @@ ExperimentArgument = Annotated[
     ),
 ]
 ResultsOption = Annotated[
-    Path, typer.Option("--results", metavar="DIR", envvar="RRMCTL_RESULTS", help="Where runs are kept.")
+    Path, typer.Option("--results", parser=place, metavar="DIR", envvar="RRMCTL_RESULTS", help="Where runs are kept.")
 ]
 ExperimentsOption = Annotated[
     Path,
-    typer.Option("--experiments", metavar="DIR", envvar="RRMCTL_EXPERIMENTS", help="Where the manifests are."),
+    typer.Option(
+        "--experiments", parser=place, metavar="DIR", envvar="RRMCTL_EXPERIMENTS", help="Where the manifests are."
+    ),
 ]
 ProfileOption = Annotated[
     str | None,

@@ -25,6 +25,7 @@ from pydantic import (
     field_validator,
 )
 
+from rrm.files import place
 from rrmctl.errors import UserError, shown
 from rrmctl.planning.toml import read_toml
 
@@ -244,13 +245,14 @@ def find(name: str, folder: Path) -> Path:
     Raises:
         UserError: there is none; the message suggests the nearest, or says where manifests are looked for.
     """
-    if name.endswith(".toml") and not Path(name).is_dir():
-        if not Path(name).is_file():
+    path = place(name)
+    if name.endswith(".toml") and not path.is_dir():
+        if not path.is_file():
             raise UserError(f"there is no file {name}")
-        return Path(name)
+        return path
     names = {path.stem: path for path in available(folder)}
     if name not in names:
-        if name and Path(name).is_dir():
+        if name and path.is_dir():
             raise UserError(f"{name} is a folder", "name an experiment of `rrmctl list`, or one manifest (*.toml)")
         raise UserError(f'no experiment "{name}" in {folder}{nearest(name, names)}', f"known: {', '.join(names)}")
     return names[name]

@@ -9,6 +9,7 @@ from pathlib import Path
 
 from rrm.config import DEMONSTRATED, KNOWN_REWARDS
 from rrm.errors import ConfigError
+from rrm.files import place
 from rrm.priors import PRIORS
 from rrm.registry import check_file, is_file_reference
 from rrm.rewards import LEARNERS
@@ -103,7 +104,7 @@ def _named(name: str, what: str, known: Mapping[str, str] | tuple[str, ...], fol
     """A name of ours as it is; a user's file with its whole path, so that it is found from any folder."""
     if is_file_reference(name):
         location, _, attribute = name.rpartition(":")
-        path = os.path.realpath(folder / location)  # unlike Path.resolve, says nothing of links in a circle
+        path = os.path.realpath(folder / place(location))  # unlike Path.resolve, says nothing of links in a circle
         if TASK in location:
             return f"{path}:{attribute}"  # checked for each task
         try:
