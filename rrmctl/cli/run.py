@@ -37,7 +37,7 @@ from rrmctl.cli.options import (
 from rrmctl.cli.progress import runs
 from rrmctl.cli.request import Request, forecast, job_record
 from rrmctl.cli.screen import drain, unfailing
-from rrmctl.cli.state import note_damage, show, status
+from rrmctl.cli.state import note_damage
 from rrmctl.errors import Exit, UserError
 
 if TYPE_CHECKING:
@@ -48,8 +48,6 @@ if TYPE_CHECKING:
     from rrmctl.store.layout import Layout
     from rrmctl.store.records import Status
     from rrmctl.store.sweeps import JobRecord, SweepRecord
-
-__all__ = ["resume", "run", "show", "status"]
 
 
 @resumable
