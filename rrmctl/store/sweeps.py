@@ -57,9 +57,7 @@ class SweepRecord:
     overrides: dict[str, Any] = field(default_factory=dict)
     jobs: tuple[JobRecord, ...] = ()
     needed: tuple[JobRecord, ...] = ()  #: runs that jobs need; nothing reports them, and some may be jobs as well
-    superseded: tuple[
-        JobRecord, ...
-    ] = ()  #: in whose place another run was asked for since: of other settings or files
+    superseded: tuple[JobRecord, ...] = ()  #: another run was asked for in their place, of other settings or files
 
     @property
     def everything(self) -> tuple[JobRecord, ...]:
@@ -69,8 +67,9 @@ class SweepRecord:
     @property
     def merely_needed(self) -> tuple[JobRecord, ...]:
         """Runs that jobs need and that are no jobs themselves."""
-        asked, wanted = {job.id for job in self.jobs}, required(self.jobs, self.needed)
-        return tuple(job for job in self.needed if job.id in wanted - asked)
+        known = {job.id: job for job in (*self.superseded, *self.needed)}
+        wanted = required(self.jobs, known.values()) - {job.id for job in self.jobs}
+        return tuple(job for run, job in known.items() if run in wanted)
 
     def union(self, other: SweepRecord) -> SweepRecord:
         """With the jobs of another record of the same variant, asked for later, in order of first appearance."""

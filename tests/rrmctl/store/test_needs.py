@@ -44,6 +44,19 @@ def test_a_record_keeps_what_is_needed(tmp_path: Path) -> None:
     assert union.needed == record.needed
 
 
+def test_what_is_superseded_may_still_be_needed(tmp_path: Path) -> None:
+    """An oracle that is the expert of others gives way to another as a job, and stays as their need."""
+    oracle = job("0", method="oracle")
+    asked = SweepRecord(
+        experiment="e", variant="smoke", profile="smoke", jobs=(oracle, job("2", "1")), needed=(job("1", "0"),)
+    )
+    record_sweep(Layout(tmp_path), asked)
+    other = replace(oracle, id="f" * 16)
+    union = record_sweep(Layout(tmp_path), replace(asked, jobs=(other,), needed=()))
+    assert union.superseded == (oracle,)
+    assert union.everything == (oracle, job("1", "0"), other, job("2", "1"))
+
+
 def test_a_record_from_before_there_were_needs(tmp_path: Path) -> None:
     """Is read: nothing in it needs anything."""
     layout, _ = chain(tmp_path)
