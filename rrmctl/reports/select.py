@@ -84,8 +84,9 @@ def of_profile(found: Sequence[Section], profile: str | None) -> tuple[Section, 
         which = ", ".join(dict.fromkeys(each.experiment for each in chosen))
         states = Counter(absent.state for each in chosen for absent in each.absent)
         told = ", ".join(f"{count} {state}" for state, count in states.items())
+        problems = "".join(f"; {problem}" for each in chosen for problem in each.problems)
         raise UserError(
-            f"{which}: no run can be reported yet; of the planned ones {told}",
+            f"{which}: no run can be reported yet; of the planned ones {told}{problems}",
             "`rrmctl status` says where they stand; `rrmctl run NAME` goes on",
         )
     return tuple(chosen)

@@ -218,6 +218,8 @@ def test_the_old_runs_are_left_out_from_the_moment_others_are_asked_for(tmp_path
     Sweep(states=dict.fromkeys(keys, "queued"), lengths=dict.fromkeys(keys, 0)).write(tmp_path)
     (section,) = read_sections(tmp_path)
     assert (section.contained, len(section.absent), {each.state for each in section.absent}) == (0, 15, {"queued"})
+    with pytest.raises(UserError, match="of the planned ones 15 queued; 15 runs are left out: "):
+        shown(tmp_path)
 
 
 def test_half_a_new_sweep_is_a_mixture(tmp_path):
