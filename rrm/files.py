@@ -30,13 +30,31 @@ def read_bounded(path: Path, limit: int) -> bytes:
     return data
 
 
+def place(path: str | Path) -> Path:
+    """A path as people write it: `~` at its start is their home folder, which not every shell and program replaces."""
+    try:
+        return Path(path).expanduser()
+    except RuntimeError:  # ~name of nobody: a file may be called so
+        return Path(path)
+
+
 def write_atomically(path: Path, data: bytes) -> None:
     """Replace `path` by `data`; after a crash it holds the old bytes or the new ones, never a mixture.
+
+    A file that holds these bytes already is left alone, and may be in a folder that takes no write.
 
     Raises:
         OSError: no space, no permission; the error names `path`, and the old file is untouched.
     """
-    replace(path, data, durably=True)
+    if not _holds(path, data):
+        replace(path, data, durably=True)
+
+
+def _holds(path: Path, data: bytes) -> bool:
+    try:
+        return path.stat().st_size == len(data) and path.read_bytes() == data
+    except OSError:
+        return False
 
 
 def replace(path: Path, data: bytes, *, durably: bool = False) -> None:

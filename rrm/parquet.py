@@ -39,6 +39,8 @@ class Pages:
 def write_table(path: Path, table: pa.Table, **settings: Any) -> None:
     """Replace `path` by the table, durably; who is reading it by its path meanwhile gets what it held, or the table.
 
+    A file that holds the same rows, columns and metadata already is left alone, whichever version wrote it.
+
     Args:
         settings: of `pyarrow.parquet.ParquetWriter`.
 
@@ -46,7 +48,24 @@ def write_table(path: Path, table: pa.Table, **settings: Any) -> None:
         OSError: no space, no permission; the error names `path`, and the old file is untouched.
     """
     before = path.read_bytes() if path.exists() else b""
-    write_atomically(path, encode(table, before, **settings))
+    if not _holds(before, table):
+        write_atomically(path, encode(table, before, **settings))
+
+
+def _holds(file: bytes, table: pa.Table) -> bool:
+    """Whether a parquet file holds this table. By their bytes in one layout: a NaN is itself there."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    try:
+        held = pq.ParquetFile(pa.BufferReader(file), page_checksum_verification=True)
+        if held.metadata.num_rows != table.num_rows:
+            return False
+        rows = held.read()
+    except (pa.ArrowException, OSError, ValueError):
+        return False
+    told = {key: value for key, value in (rows.schema.metadata or {}).items() if key != _KEY}
+    return encode(rows.replace_schema_metadata(told or None)) == encode(table)
 
 
 def encode(table: pa.Table, before: bytes = b"", **settings: Any) -> bytes:

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from rrm.errors import ConfigError, UnknownNameError
-from rrm.files import read_bounded
+from rrm.files import place, read_bounded
 
 #: How files end that hold a language model's code: `rrm.priors.language` rebuilds it, and it never runs as it stands.
 LANGUAGE = ".language.py"
@@ -112,6 +112,7 @@ def file_digest(path: Path, name: str) -> str:
     Raises:
         ConfigError: it cannot be read.
     """
+    path = place(path)
     try:
         if path.exists() and not path.is_file():  # a device may have no end
             raise ConfigError(f"cannot read {path} (named by {name!r}): not a file")
@@ -124,7 +125,7 @@ def file_digest(path: Path, name: str) -> str:
 def _located(name: str, kind: str) -> tuple[Path, str]:
     """File and attribute of `file.py:attribute`."""
     location, _, attribute = name.rpartition(":")
-    path = Path(location)
+    path = place(location)
     try:
         there = path.is_file()
     except OSError as error:

@@ -153,3 +153,23 @@ def test_every_figure_takes_a_dataframe():
         drawing = [each for each in offered if inspect.isfunction(each) or isinstance(each, FromFrames)]
         first = [next(iter(inspect.signature(each).parameters), None) for each in drawing]
         assert "rows" in first, name
+
+
+def promises():
+    """Each guarantee, paragraph and row of docs/reliability.md that promises something."""
+    page = (ROOT / "docs" / "reliability.md").read_text().split("## Guarantees")[1].split("## Not guaranteed")[0]
+    listed, owner, rest = re.split(r"\n## .*\n", page)
+    table, safe = rest.strip().split("\n\n")
+    return [*listed.split("\n- ")[1:], owner, *table.splitlines()[2:], safe]
+
+
+def test_every_promise_of_reliability_names_a_test_that_exists():
+    """What no test shows is not promised."""
+    known = {
+        name for path in (ROOT / "tests").rglob("test_*.py") for name in re.findall(r"def (test_\w+)", path.read_text())
+    }
+    assert len(promises()) > 25
+    for promise in promises():
+        named = re.findall(r"`(test_\w+)`", promise)
+        assert named, promise
+        assert set(named) <= known, set(named) - known

@@ -18,7 +18,7 @@ import numpy.typing as npt
 
 from rrm import tensors
 from rrm.errors import DemosError
-from rrm.files import write_atomically
+from rrm.files import place, write_atomically
 
 if TYPE_CHECKING:
     from rrm.envs.tasks import Task
@@ -57,14 +57,14 @@ class Demonstrations:
             "success": known, "true_return": float(self.returns.mean()),
         }  # fmt: skip
 
-    def save(self, path: Path) -> None:
+    def save(self, path: str | Path) -> None:
         """Write the file, whole or not at all. Raises OSError where there is no room or permission."""
         told = {"format": FORMAT, "provenance": dict(self.provenance)}
         arrays = {name: np.ascontiguousarray(getattr(self, name)) for name in _KINDS}
-        write_atomically(path, tensors.encode(arrays, _ENTRY, told))
+        write_atomically(place(path), tensors.encode(arrays, _ENTRY, told))
 
     @classmethod
-    def load(cls, path: Path) -> Self:
+    def load(cls, path: str | Path) -> Self:
         """The demonstrations in a file.
 
         Raises:
@@ -72,7 +72,7 @@ class Demonstrations:
             OSError: it cannot be read now, which says nothing about what it holds.
         """
         try:
-            arrays, told = tensors.decode(path.read_bytes(), _ENTRY)
+            arrays, told = tensors.decode(place(path).read_bytes(), _ENTRY)
         except (FileNotFoundError, NotADirectoryError, IsADirectoryError, ValueError) as error:
             raise DemosError(f"{path} cannot be read as demonstrations: {error}") from error
         provenance = told.get("provenance")

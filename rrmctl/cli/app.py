@@ -13,7 +13,7 @@ from typer.core import TyperGroup
 
 import rrm
 from rrm.errors import RrmError
-from rrmctl.cli import demos, export, inspect, page, prior, report, run
+from rrmctl.cli import clean, demos, export, inspect, page, prior, report, run, show, state
 from rrmctl.errors import Exit, UserError
 
 #: Conditions of the machine rather than bugs of the program.
@@ -100,8 +100,8 @@ def rrmctl(
 
 
 _COMMANDS = (
-    *(inspect.list_, inspect.plan, run.run, run.status, run.resume, run.show),
-    *(report.plot, export.export, inspect.doctor),
+    *(inspect.list_, inspect.plan, run.run, state.status, run.resume, show.show),
+    *(report.plot, export.export, clean.clean, inspect.doctor),
 )
 for _command in _COMMANDS:
     app.command(_command.__name__.rstrip("_"))(_command)  # list_ is the command `list`

@@ -15,7 +15,7 @@ import typer
 from rrmctl.errors import Exit, UserError
 
 if TYPE_CHECKING:
-    from rrmctl.planning.plan import Job, Plan
+    from rrmctl.planning.plan import Plan
     from rrmctl.reports.contests import Contest, Contests
     from rrmctl.store.layout import Layout
     from rrmctl.store.sweeps import SweepRecord
@@ -114,23 +114,15 @@ def _trial(plan: Plan, rules: Rules) -> Trial:
 
 def _part(plan: Plan, seeds: Iterable[int], pairs: Iterable[Pairing]) -> Plan:
     """The jobs of these seeds that the pairs need, and what those need."""
+    from rrmctl.store.sweeps import required
+
     wanted = {(pair.task, *asked, method) for pair in pairs for method in (pair.method, pair.against)
               for asked in ((pair.teacher, pair.feedback), ("-", "-"))}  # fmt: skip
     chosen = set(seeds)
     jobs = [job for job in plan.jobs if job.seed in chosen
             and (job.task, job.teacher, job.feedback, job.method) in wanted]  # fmt: skip
-    return replace(plan, jobs=tuple(jobs), needed=_needed(plan, jobs))
-
-
-def _needed(plan: Plan, jobs: Iterable[Job]) -> tuple[Job, ...]:
-    """Of the runs that the plan needs, those that these jobs do, in the plan's order."""
-    known = {job.id: job for job in plan.everything}
-    asked, found = [run for job in jobs for run in job.requires], set()
-    while asked:
-        run = asked.pop()
-        found.add(run)
-        asked += known[run].requires
-    return tuple(job for job in plan.needed if job.id in found)
+    needed = required(jobs, plan.everything)
+    return replace(plan, jobs=tuple(jobs), needed=tuple(job for job in plan.needed if job.id in needed))
 
 
 def _look(layout: Layout, plan: Plan, trial: Trial, seeds: list[int]) -> Contests:

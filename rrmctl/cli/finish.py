@@ -84,7 +84,7 @@ def _lost(layout: Layout, sweeps: Iterable[SweepRecord]) -> Iterator[str]:
 
 
 def _aggregate(layout: Layout, names: Iterable[str]) -> None:
-    """Write each experiment's `aggregates/NAME.parquet`, as `report iqm` does. The runs are what counts: no error."""
+    """Write each experiment's `aggregates/NAME.parquet`. The runs are what counts: no error."""
     from rrm.errors import RrmError
     from rrmctl.reports import aggregates
     from rrmctl.reports.select import read_sections

@@ -9,6 +9,7 @@ from typing import Annotated
 
 import typer
 
+from rrm.files import place
 from rrmctl.errors import UserError
 
 DEFAULT_RESULTS = Path("results")
@@ -47,12 +48,13 @@ ExperimentArgument = Annotated[
     ),
 ]
 ResultsOption = Annotated[
-    Path, typer.Option("--results", metavar="DIR", envvar="RRMCTL_RESULTS", help="Where runs are kept.")
+    Path, typer.Option("--results", parser=place, metavar="DIR", envvar="RRMCTL_RESULTS", help="Where runs are kept.")
 ]
 ExperimentsOption = Annotated[
     Path | None,
     typer.Option(
         "--experiments",
+        parser=place,
         metavar="DIR",
         envvar="RRMCTL_EXPERIMENTS",
         help="Where manifests of your own are, beside those of rrmctl. Default: experiments.",

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import datetime
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
+from rrm.files import place
 from rrmctl.cli.options import DEFAULT_RESULTS, ResultsOption
 from rrmctl.cli.report import Iqm, IqmOption, MixedOption, ProfileOption, ReplicatesOption
 from rrmctl.errors import UserError
@@ -19,7 +19,10 @@ def html(
         typer.Argument(metavar="[NAME]...", help="Experiments of the store. Default: all."),
     ] = None,
     output: Annotated[
-        Path, typer.Option("-o", "--output", metavar="FILE", help="The page; its folder is made where it is missing.")
+        Path,
+        typer.Option(
+            "-o", "--output", parser=place, metavar="FILE", help="The page; its folder is made where it is missing."
+        ),
     ] = Path("report.html"),
     results: ResultsOption = DEFAULT_RESULTS,
     kind: IqmOption = Iqm.RLIABLE,
@@ -37,9 +40,8 @@ def html(
     from rrmctl.store.atomic import StorageError, write_bytes
 
     chosen = [Path(name).stem if name.endswith(".toml") else name for name in names or ()]
-    now = datetime.datetime.now(datetime.UTC).strftime("%Y-%m-%d %H:%M UTC")
     settings = Settings(kind=kind.value, replicates=replicates)
-    page = build(results, chosen, profile=profile, settings=settings, allow_mixed=allow_mixed, written=now)
+    page = build(results, chosen, profile=profile, settings=settings, allow_mixed=allow_mixed)
     data = page.encode()
     try:
         write_bytes(output, data)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from rrm.files import read_bounded
+from rrm.files import place, read_bounded
 from rrmctl.cli.options import ExperimentsOption
 from rrmctl.errors import UserError
 
@@ -50,17 +50,22 @@ def prompt(
 def add(
     task: TaskArgument,
     files: Annotated[
-        list[Path], typer.Argument(metavar="FILE...", help="Candidates, each with a function reward(step).")
+        list[Path],
+        typer.Argument(parser=place, metavar="FILE...", help="Candidates, each with a function reward(step)."),
     ],
     model: Annotated[str, typer.Option("--model", help="Which model wrote them.")],
     date: Annotated[datetime, typer.Option("--date", formats=["%Y-%m-%d"], help="When it did.")],
     prompt_file: Annotated[
         Path | None,
-        typer.Option("--prompt", metavar="FILE", help="The prompt that was sent. Default: that with the skeleton."),
+        typer.Option(
+            "--prompt", parser=place, metavar="FILE", help="The prompt that was sent. Default: that with the skeleton."
+        ),
     ] = None,
     into: Annotated[
         Path | None,
-        typer.Option("--into", metavar="DIR", help="Where to freeze it. Default: priors, beside the experiments."),
+        typer.Option(
+            "--into", parser=place, metavar="DIR", help="Where to freeze it. Default: priors, beside the experiments."
+        ),
     ] = None,
     experiments: ExperimentsOption = None,
 ) -> None:

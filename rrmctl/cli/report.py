@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from rrm.files import place
 from rrmctl.cli.options import DEFAULT_RESULTS, ResultsOption
 from rrmctl.errors import UserError
 from rrmctl.reports.figures import figures
@@ -100,7 +101,10 @@ def _table(entry: Entry) -> Callable[..., None]:
             Format, typer.Option("--format", help="csv and json carry raw values: success as a fraction.")
         ] = Format.TERMINAL,
         output: Annotated[
-            Path | None, typer.Option("-o", "--output", metavar="FILE", help="Write to a file instead of the terminal.")
+            Path | None,
+            typer.Option(
+                "-o", "--output", parser=place, metavar="FILE", help="Write to a file instead of the terminal."
+            ),
         ] = None,
         kind: IqmOption = Iqm.RLIABLE,
         profile: ProfileOption = None,
@@ -111,8 +115,6 @@ def _table(entry: Entry) -> Callable[..., None]:
         from rrmctl.reports.render import console_for, print_terminal, to_text
         from rrmctl.reports.select import of_profile, read_sections
         from rrmctl.reports.settings import Settings
-        from rrmctl.store.atomic import StorageError
-        from rrmctl.store.layout import Layout
 
         module = entry.load()
         settings = Settings(kind=kind.value, replicates=replicates, plus_minus=plus_minus)
@@ -124,11 +126,6 @@ def _table(entry: Entry) -> Callable[..., None]:
             print_terminal(shown, console_for())
         else:
             typer.echo(to_text(shown, form.value), nl=False)
-        try:
-            if hasattr(module, "keep"):
-                module.keep(Layout(results), found, settings)
-        except (StorageError, UserError) as error:  # the table is what was asked for, and it is there
-            typer.echo(f"note: the curves were not kept: {error}", err=True)
 
     return _without(command, {"plus_minus"} - set(entry.options))
 
@@ -151,7 +148,13 @@ def plot(
     results: ResultsOption = DEFAULT_RESULTS,
     output: Annotated[
         Path | None,
-        typer.Option("-o", "--output", metavar="DIR", help="Folder for the figures. Default: figures/ in the results."),
+        typer.Option(
+            "-o",
+            "--output",
+            parser=place,
+            metavar="DIR",
+            help="Folder for the figures. Default: figures/ in the results.",
+        ),
     ] = None,
     wanted: Annotated[
         list[str] | None,

@@ -36,7 +36,7 @@ from rrmctl.cli.options import (
 from rrmctl.cli.progress import runs
 from rrmctl.cli.request import Request, forecast, job_record
 from rrmctl.cli.screen import drain, unfailing
-from rrmctl.cli.state import note_damage, show, status
+from rrmctl.cli.state import note_damage
 from rrmctl.errors import Exit, UserError
 
 if TYPE_CHECKING:
@@ -47,8 +47,6 @@ if TYPE_CHECKING:
     from rrmctl.store.layout import Layout
     from rrmctl.store.records import Status
     from rrmctl.store.sweeps import JobRecord, SweepRecord
-
-__all__ = ["resume", "run", "show", "status"]
 
 
 @resumable
@@ -187,21 +185,32 @@ def _is_open(status: Status, *, retry_failed: bool) -> bool:
 
 def _record(console: Console, layout: Layout, plan: Plan) -> SweepRecord:
     """Write down what was asked for, and return it: first every run's configuration, then the sweep that names them."""
-    from rrmctl.running.runfile import config_content
-    from rrmctl.store.records import record_config
-    from rrmctl.store.sweeps import SweepRecord, read_sweep, record_sweep
+    from rrmctl.store.sweeps import SweepRecord, read_sweep, record_sweep, set_damaged_aside
 
-    read_sweep(layout.sweep(plan.experiment, plan.variant))  # one that cannot be added to is refused first
-    for job in plan.everything:
-        note = record_config(layout.run(job.id), config_content(job.config))
-        if note is not None:
-            console.print(f"note: {note}", markup=False, soft_wrap=True)
+    path = layout.sweep(plan.experiment, plan.variant)
+    damage = set_damaged_aside(layout, path)  # one of another version is refused before anything is written
+    known = read_sweep(path)
     asked = SweepRecord(
         experiment=plan.experiment, variant=plan.variant, profile=plan.profile, overrides=plan.overrides,
         jobs=tuple(map(job_record, plan.jobs)), needed=tuple(map(job_record, plan.needed)),
     )  # fmt: skip
-    record_sweep(layout, asked)
+    notes = [damage, *_configure(layout, plan.everything)]
+    late = set(record_sweep(layout, asked).superseded) - set(known.superseded if known else ())
+    if late:
+        told = f"{runs(len(late))} of other settings, files or versions gave way to what is asked for now"
+        notes.append(f"{told}; `rrmctl clean` lists what nothing asks for any more")
+    # Until the record named them, a `clean` may have removed some.
+    notes += _configure(layout, (job for job in plan.everything if not layout.run(job.id).config.exists()))
+    for note in filter(None, notes):
+        console.print(f"note: {note}", markup=False, soft_wrap=True)
     return asked
+
+
+def _configure(layout: Layout, jobs: Iterable[Job]) -> list[str | None]:
+    from rrmctl.running.runfile import config_content
+    from rrmctl.store.records import record_config
+
+    return [record_config(layout.run(job.id), config_content(job.config)) for job in jobs]
 
 
 def _assignment(job: JobRecord, status: Status, threads: int, *, fresh: bool) -> Assignment:

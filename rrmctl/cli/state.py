@@ -1,11 +1,11 @@
-"""Commands that tell where runs stand: `status` and `show`."""
+"""`rrmctl status`: where runs stand."""
 
 from __future__ import annotations
 
 import json
 import sys
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -18,7 +18,7 @@ from rrmctl.errors import UserError
 if TYPE_CHECKING:
     from rich.console import Console, RenderableType
 
-    from rrmctl.store.layout import Layout, RunFolder
+    from rrmctl.store.layout import Layout
     from rrmctl.store.records import Status
     from rrmctl.store.sweeps import SweepRecord
 
@@ -62,7 +62,7 @@ def status(
 
     view = look()
     if not watch:
-        typer.echo(json.dumps(view.as_json())) if as_json else _console().print(view.table())
+        typer.echo(json.dumps(view.as_json())) if as_json else console_for_tables().print(view.table())
         return
     try:
         _watch(view, look, as_json=as_json)
@@ -73,7 +73,7 @@ def status(
 def _watch(view: _View, look: Any, *, as_json: bool) -> None:
     from rich.live import Live
 
-    console = _console()
+    console = console_for_tables()
     if as_json or not console.is_terminal:
         said = None
         while True:
@@ -184,77 +184,10 @@ class _View:
         return list({job.id: job for sweep in self._sweeps for job in sweep.everything}.values())
 
 
-def show(
-    run: Annotated[str, typer.Argument(metavar="RUN", help="A run's id, or enough of its first digits.")],
-    results: ResultsOption = DEFAULT_RESULTS,
-    lines: Annotated[int, typer.Option("--lines", min=0, help="Lines of the log's end.")] = 15,
-) -> None:
-    """Show one run: what it is, where it stands, what it ran with, its last evaluations and the end of its log."""
-    from rrmctl.store.reader import find_run, open_results
-
-    layout = open_results(results)
-    folder = find_run(layout, run)
-    console = _console()
-    for title, text in _sections(layout, folder, lines):
-        if text:
-            console.print(title, style="bold")
-            console.print(text, markup=False, soft_wrap=True)
-            console.print()
-
-
-def _sections(layout: Layout, folder: RunFolder, lines: int) -> list[tuple[str, str]]:
-    from rrmctl.store.provenance import read_provenance
-    from rrmctl.store.reader import log_tail, read_config, run_status
-    from rrmctl.store.sweeps import readable_sweeps
-
-    now = run_status(folder)
-    sweeps, damage = readable_sweeps(layout)
-    note_damage(damage)
-    uses = [(sweep, job) for sweep in sweeps for job in sweep.everything if job.id == folder.id]
-    state = f"{now.state}, attempt {now.attempt}, step {now.step:,}" + (f" of {now.steps:,}" if now.steps else "")
-    again = [rerun_command(layout, sweep, job) for sweep, job in uses if job in sweep.jobs]
-    return [
-        (f"run {folder.id}", "\n".join([str(folder.path), *(f"{s.experiment}: {j.label}" for s, j in uses)])),
-        ("state", state + (f"\n{now.error}" if now.error else "")),
-        ("configuration", _or_damage(lambda: json.dumps(read_config(folder), indent=1))),
-        ("provenance", _or_damage(lambda: _provenance(read_provenance(folder)))),
-        ("last evaluations", _or_damage(lambda: _last_rows(folder))),
-        ("end of the log", "\n".join(log_tail(folder, lines) if lines else [])),
-        ("again, from nothing", "\n".join(again)),
-    ]
-
-
-def _provenance(content: dict[str, Any] | None) -> str:
-    return "" if content is None else json.dumps(content, indent=1)
-
-
-def _or_damage(tell: Callable[[], str]) -> str:
-    """What `tell` tells, or which file it could not read: the rest of a run can still be shown."""
-    try:
-        return tell()
-    except UserError as error:
-        return f"{error} ({error.hint})" if error.hint else str(error)
-
-
 def note_damage(damage: Iterable[UserError]) -> None:
     """One line on standard error for each file that a command can go on without."""
     for error in damage:
         typer.echo(f"note: {error}; {error.hint}", err=True)
-
-
-def _last_rows(folder: RunFolder, count: int = 5) -> str:
-    from rrmctl.cli.live import score
-    from rrmctl.store.reader import read_curve
-
-    table = read_curve(folder)
-    if table is None:
-        return ""
-    rows = table.slice(max(0, table.num_rows - count)).to_pylist()
-    told = []
-    for row in rows:
-        success = row["success"] if row["success"] == row["success"] else None  # NaN: the task has no success
-        told.append(f"step {row['step']:>9,}  {score(success, row['true_return'])}  return {row['true_return']:,.1f}")
-    return "\n".join(told)
 
 
 def rerun_command(layout: Layout, sweep: SweepRecord, job: Any) -> str:
@@ -265,7 +198,8 @@ def rerun_command(layout: Layout, sweep: SweepRecord, job: Any) -> str:
     )  # fmt: skip
 
 
-def _console() -> Console:
+def console_for_tables() -> Console:
+    """Standard output, for what is a table or may be long."""
     from rich.console import Console
 
     # Wide where nobody looks: what another program reads should not be folded.

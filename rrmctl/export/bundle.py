@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 from rrmctl.reports.names import check_profile
+from rrmctl.store.frame import NUMBER, TEXT, WHOLE, frame, typed
 from rrmctl.store.inventory import Run, inventory
 
 if TYPE_CHECKING:
@@ -29,9 +30,9 @@ class Bundle:
         """One row for each run and evaluation, with every label: the columns of `rrmctl.store.load`."""
         import pandas as pd
 
+        kinds = {name: _KINDS[field.kind] for name, field in COLUMNS.items()}
         tables = [run.curve.assign(**{name: run.plan[name] for name in RUN_COLUMNS}) for run in self.begun]
-        frame = pd.concat(tables, ignore_index=True) if tables else pd.DataFrame()
-        return frame.reindex(columns=list(COLUMNS))
+        return typed(pd.concat([frame([], kinds), *tables], ignore_index=True), kinds)
 
 
 def read(results: str | Path, experiment: str, profile: str | None = None) -> Bundle:
@@ -52,6 +53,8 @@ class Field(NamedTuple):
     unit: str  #: empty where there is none
     meaning: str
 
+
+_KINDS = {"string": TEXT, "integer": WHOLE, "number": NUMBER}
 
 #: Columns that say which run a row belongs to.
 RUN_COLUMNS = {

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from rrm.files import place
 from rrmctl.errors import UserError
 
 _BUILT = Path(__file__).resolve().parents[1] / "experiments"
@@ -40,13 +41,14 @@ def find(name: str, folder: Path | None) -> Path:
     """
     from rrmctl.planning.manifest import nearest
 
-    if name.endswith(".toml") and not Path(name).is_dir():
-        if not Path(name).exists():
+    path = place(name)
+    if name.endswith(".toml") and not path.is_dir():
+        if not path.exists():
             raise UserError(f"there is no file {name}")
-        return Path(name)
+        return path
     found = available(folder)
     if name not in found:
-        if name and Path(name).is_dir():
+        if name and path.is_dir():
             raise UserError(f"{name} is a folder", "name an experiment of `rrmctl list`, or one manifest (*.toml)")
         raise UserError(f'no experiment "{name}"{nearest(name, found)}', f"known: {', '.join(found)}")
     return found[name]

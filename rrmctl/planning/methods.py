@@ -9,6 +9,7 @@ from pathlib import Path
 
 from rrm.config import DEMONSTRATED, KNOWN_REWARDS
 from rrm.errors import ConfigError
+from rrm.files import place
 from rrm.priors import PRIORS
 from rrm.priors.language import is_frozen
 from rrm.registry import check_file, is_file_reference
@@ -104,9 +105,9 @@ def _named(name: str, what: str, known: Mapping[str, str] | tuple[str, ...], fol
     """A name of ours as it is; a user's file with its whole path, so that it is found from any folder."""
     if is_file_reference(name):
         location, _, attribute = name.rpartition(":")
-        place, frozen = folder / location, is_frozen(name)
+        named, frozen = folder / place(location), is_frozen(name)
         # Links are followed, but by their names language priors are told. Path.resolve dislikes links in a circle.
-        path = f"{os.path.realpath(place.parent)}/{place.name}" if frozen else os.path.realpath(place)
+        path = f"{os.path.realpath(named.parent)}/{named.name}" if frozen else os.path.realpath(named)
         if TASK in location or (frozen and what == "prior"):
             return f"{path}:{attribute}"  # checked for each task
         try:

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rrm.config import AIRL, IMITATION
+from rrm.files import place
 from rrm.training.config import RunConfig
 from rrm.training.demos import DemosConfig
 from rrmctl.planning.cells import profile_layers
@@ -60,7 +61,7 @@ def _demonstrated(config: RunConfig, scale: str, folder: Path) -> tuple[Imitatio
     """The run's section with its demonstrations named, and the runs that make them where the user gave none."""
     imitation = config.imitation
     if imitation.demos is not None:
-        return imitation.model_copy(update={"demos": os.path.realpath(folder / imitation.demos)}), ()
+        return imitation.model_copy(update={"demos": os.path.realpath(folder / place(imitation.demos))}), ()
     expert = _resolved(config.task, scale, "true")
     demos = DemosConfig(
         profile=scale, task=config.task, expert=expert,

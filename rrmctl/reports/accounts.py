@@ -7,6 +7,7 @@ from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
+from rrmctl.store.frame import NUMBER, TEXT, WHOLE, frame
 from rrmctl.store.inventory import Run, settings
 
 if TYPE_CHECKING:
@@ -21,7 +22,11 @@ _IDENTITY = ("id", "cell", "seed", "task", "method", "profile")
 #: Of a provenance, what can change a number.
 _MAKING = ("code", "python", "platform", "cpu", "host", "precision", "threads", "versions", "fingerprint")
 
-_SPENDING = (*GROUP, "runs", "done", "steps", "queries", "labels", "wall_s", "steps_per_s")
+_SPENDING = {
+    **dict.fromkeys(GROUP, TEXT),
+    **dict.fromkeys(("runs", "done", "steps", "queries", "labels"), WHOLE),
+    **dict.fromkeys(("wall_s", "steps_per_s"), NUMBER),
+}
 
 
 def spending(runs: Iterable[Run]) -> pd.DataFrame:
@@ -31,17 +36,15 @@ def spending(runs: Iterable[Run]) -> pd.DataFrame:
         Columns `task, method, teacher, feedback, runs, done, steps` (environment steps), `queries, labels`, `wall_s`
         (training time, seconds) and `steps_per_s`; queries, labels and time as of the last evaluations.
     """
-    import pandas as pd
-
     groups: dict[tuple[str, ...], list[Run]] = {}
     for run in runs:
         groups.setdefault(tuple(run.plan[name] for name in GROUP), []).append(run)
-    return pd.DataFrame([(*group, *_spent(members)) for group, members in groups.items()], columns=list(_SPENDING))
+    return frame(((*group, *_spent(members)) for group, members in groups.items()), _SPENDING)
 
 
 def total(runs: Iterable[Run]) -> dict[str, Any]:
     """The same for all of them together, a run that several labels share counted once."""
-    return dict(zip(_SPENDING[len(GROUP) :], _spent(list({run.id: run for run in runs}.values())), strict=True))
+    return dict(zip(list(_SPENDING)[len(GROUP) :], _spent(list({run.id: run for run in runs}.values())), strict=True))
 
 
 def _spent(runs: Sequence[Run]) -> tuple[Any, ...]:
@@ -54,11 +57,9 @@ def _spent(runs: Sequence[Run]) -> tuple[Any, ...]:
 
 def common_settings(runs: Iterable[Run]) -> pd.DataFrame:
     """The settings that all configured runs share: columns `setting, value`, values as JSON, none unset."""
-    import pandas as pd
-
     found = [_settings(run) for run in runs if run.config is not None]
     rows = [(name, value) for name, value in (found[0] if found else {}).items() if _shared(name, found)]
-    return pd.DataFrame(rows, columns=["setting", "value"])
+    return frame(rows, dict.fromkeys(("setting", "value"), TEXT))
 
 
 def differing_settings(runs: Iterable[Run]) -> pd.DataFrame:
@@ -66,8 +67,6 @@ def differing_settings(runs: Iterable[Run]) -> pd.DataFrame:
 
     A value is missing where a group has no such setting; several values in a group stand side by side.
     """
-    import pandas as pd
-
     configured = [run for run in runs if run.config is not None]
     found = {run.id: _settings(run) for run in configured}
     names = dict.fromkeys(name for each in found.values() for name in each)
@@ -78,7 +77,7 @@ def differing_settings(runs: Iterable[Run]) -> pd.DataFrame:
         for name in set(columns) & set(found[run.id]):
             row[name][found[run.id][name]] = None
     table = [(*group, *(" / ".join(row[name]) or None for name in columns)) for group, row in rows.items()]
-    return pd.DataFrame(table, columns=[*GROUP, *columns])
+    return frame(table, dict.fromkeys((*GROUP, *columns), TEXT))
 
 
 def _settings(run: Run) -> dict[str, str]:
@@ -96,15 +95,13 @@ def makings(runs: Iterable[Run]) -> pd.DataFrame:
     Returns:
         A row for each fact, a column for each distinct making: `fact`, then `A`, `B`, ...; the first row counts runs.
     """
-    import pandas as pd
-
     once = {run.id: run for run in runs if run.provenance is not None}.values()
     counted = Counter(json.dumps(_making(run), sort_keys=True) for run in once)
     columns = {_letters(at): json.loads(making) for at, (making, _) in enumerate(counted.most_common())}
     names = dict.fromkeys(name for making in columns.values() for name in making)
     rows = [("runs", *(str(count) for _, count in counted.most_common()))]
     rows += [(name, *(making.get(name) for making in columns.values())) for name in names]
-    return pd.DataFrame(rows, columns=["fact", *columns])
+    return frame(rows, dict.fromkeys(("fact", *columns), TEXT))
 
 
 def _making(run: Run) -> dict[str, str]:

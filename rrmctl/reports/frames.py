@@ -10,9 +10,12 @@ from rrmctl.planning.manifest import nearest
 from rrmctl.reports.kinds import kinds
 from rrmctl.reports.select import of_profile, read_sections
 from rrmctl.reports.settings import DEFAULTS, Settings
+from rrmctl.store.frame import MAYBE_WHOLE, typed
 
 if TYPE_CHECKING:
     import pandas as pd
+
+_NULLABLE = {"int64": MAYBE_WHOLE, "bool": "boolean"}
 
 
 def table(
@@ -50,5 +53,9 @@ def table(
     made = module.make(of_profile(found, profile), settings)
     whose = ("experiment", "profile", "variant")
     tables = [report.table.assign(**{name: report.facts[name] for name in whose}) for report in made]
-    whole: pd.DataFrame = pd.concat(tables, ignore_index=True)
+    common = set.intersection(*(set(each.columns) for each in tables))
+    for at, each in enumerate(tables):  # what some tables lack keeps its type beside them
+        wider = {name: _NULLABLE.get(str(kind)) for name, kind in each.dtypes.items() if name not in common}
+        tables[at] = each.astype({name: kind for name, kind in wider.items() if kind})
+    whole = typed(pd.concat(tables, ignore_index=True))
     return whole.reindex(columns=[*whose, *(name for name in whole.columns if name not in whose)])

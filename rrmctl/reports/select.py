@@ -22,6 +22,7 @@ from rrmctl.reports import mixing, names
 from rrmctl.reports.mixing import Making
 from rrmctl.reports.series import SCORE_COLUMN, Absent, Label, Section, Series, by_seed
 from rrmctl.store.reader import load, open_results, planned
+from rrmctl.store.sweeps import read_sweeps
 from rrmctl.store.trials import read_trial
 
 if TYPE_CHECKING:
@@ -49,19 +50,25 @@ def read_sections(
     rows = rows[rows["experiment"] != ""]  # runs that no sweep asked for have no labels to be reported under
     begun = [run for run in jobs["run"] if layout.run(run).config.exists()]
     makings = mixing.read_makings(layout, list(dict.fromkeys([*rows["run"], *begun])))
+    superseded = {(each.experiment, each.variant): len(each.superseded) for each in read_sweeps(layout, experiment)}
     found = []
     for each in _split(rows, jobs, None, makings):
         mixed = mixing.mixture(each, makings)
         refusal = mixing.refuse(each, mixed, results) if mixed and not allow_mixed else None
         trial = read_trial(layout, each.experiment, each.variant)
-        marked = _marked(each, mixing.told(mixed), tuple(mixing.remarks(each, makings)))
+        marked = _marked(
+            each, mixing.told(mixed), tuple(mixing.remarks(each, makings)), superseded[each.experiment, each.variant]
+        )
         found.append(dataclasses.replace(marked, refusal=each.refusal or refusal, trial=trial, source=layout))
     return tuple(found)
 
 
-def _marked(section: Section, mixed: Sequence[str], remarks: tuple[str, ...]) -> Section:
-    """The section with what is to be said of how its runs were made."""
-    loud = tuple(f"MIXED: {each}." for each in mixed)
+def _marked(section: Section, mixed: Sequence[str], remarks: tuple[str, ...], superseded: int) -> Section:
+    """The section with what is to be said of how its runs were made, and of those that gave way to others."""
+    gone = (
+        f"{superseded} run{'s are' if superseded > 1 else ' is'} left out: of other settings, files or versions than "
+    )
+    loud = (*((f"{gone}what was asked for since.",) if superseded else ()), *(f"MIXED: {each}." for each in mixed))
     return dataclasses.replace(section, problems=(*section.problems, *loud), mixed=tuple(mixed), remarks=remarks)
 
 
@@ -77,8 +84,9 @@ def of_profile(found: Sequence[Section], profile: str | None) -> tuple[Section, 
         which = ", ".join(dict.fromkeys(each.experiment for each in chosen))
         states = Counter(absent.state for each in chosen for absent in each.absent)
         told = ", ".join(f"{count} {state}" for state, count in states.items())
+        problems = "".join(f"; {problem}" for each in chosen for problem in each.problems)
         raise UserError(
-            f"{which}: no run can be reported yet; of the planned ones {told}",
+            f"{which}: no run can be reported yet; of the planned ones {told}{problems}",
             "`rrmctl status` says where they stand; `rrmctl run NAME` goes on",
         )
     return tuple(chosen)
@@ -133,20 +141,16 @@ def _section(
 ) -> Section:
     problems: list[str] = []
     refusals: list[UserError] = []
-    series, absent, old = [], [], set[str]()
+    series, absent = [], []
     for label in _ordered(Label(*row) for row in jobs[list(Label._fields)].itertuples(index=False)):
         asked = _labelled(jobs, label)
         each = _series(label, _labelled(rows, label), versions, problems, refusals)
-        replaced = _replaced(each, asked, versions)
-        asked, old = asked[~asked["run"].isin(replaced)], old | replaced
         series.append(dataclasses.replace(each, planned=len(asked)))
         absent += [
             Absent(label, int(seed), run, state)
             for seed, run, state in zip(asked["seed"], asked["run"], asked["state"], strict=True)
             if run not in each.runs
         ]
-    if old:
-        problems.append(f"{len(old)} runs of older configuration versions are left out: newer ones take their place")
     used = rows[rows["run"].isin([run for each in series for run in each.runs])]
     protocols = [_protocol(episodes, evaluation.get(cell)) for cell, episodes in _distinct(used, "cell", "episodes")]
     first = jobs.iloc[0]
@@ -157,18 +161,11 @@ def _section(
         overrides=json.loads(first["overrides"]),
         series=tuple(series),
         absent=tuple(absent),
-        planned=int(jobs["run"].nunique()) - len(old),
+        planned=int(jobs["run"].nunique()),
         evaluation=tuple(dict.fromkeys(protocols)),
         problems=tuple(problems),
         refusal=next(iter(refusals), None),
     )
-
-
-def _replaced(series: Series, asked: pd.DataFrame, versions: Mapping[str, int]) -> set[str]:
-    """Runs in place of which the series has one of a newer configuration version."""
-    newest = {seed: versions.get(run, 0) for seed, run in zip(series.seeds, series.runs, strict=True)}
-    pairs = zip(asked["run"], asked["seed"], strict=True)
-    return {run for run, seed in pairs if run in versions and versions[run] < newest.get(seed, 0)}
 
 
 def _ordered(labels: Iterable[Label]) -> list[Label]:
@@ -210,11 +207,9 @@ def _series(
     score = task(label.task).score
     done = rows[rows["state"] == "done"]
     used = done if len(done) else rows[rows["state"].isin(_UNDER_WAY)]
-    age = used["run"].map(lambda run: versions.get(run, 0))
-    newest = age.groupby(used["seed"]).transform("max")
-    used = used[age == newest]
     # Versions differ in their configurations; whether those meet is looked at when all series are known.
-    several = [why for _, alike in used.groupby(age[age == newest]) if (why := mixing.configurations(label, alike))]
+    version = used["run"].map(lambda run: versions.get(run, 0))
+    several = [why for _, alike in used.groupby(version) if (why := mixing.configurations(label, alike))]
     if several:
         refusals += several
         used = used[:0]

@@ -27,6 +27,7 @@ from rrmctl.stats import (
     quartiles,
     resample,
 )
+from rrmctl.store.frame import MAYBE_WHOLE, WHOLE, typed
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -96,7 +97,7 @@ def curve_table(section: Section, settings: Settings = DEFAULTS) -> pd.DataFrame
         )
     ]
     table = pd.DataFrame(rows, columns=list(CURVE_COLUMNS[:-2]))
-    return table.assign(iqm_kind=settings.kind, schema_version=CURVES_VERSION)
+    return typed(table.assign(iqm_kind=settings.kind, schema_version=CURVES_VERSION))
 
 
 def iqm_table(section: Section, settings: Settings = DEFAULTS) -> pd.DataFrame:
@@ -107,7 +108,7 @@ def iqm_table(section: Section, settings: Settings = DEFAULTS) -> pd.DataFrame:
     rows = [row for panel in panels for row in _panel_rows(panel, made)]
     rows += [row for group in across_tasks(panels) for row in _group_rows(group, settings)]
     table = pd.DataFrame(rows, columns=list(COLUMNS))
-    return table.astype({"step": "Int64", "n": "int64", "planned": "int64"})
+    return typed(table, {"step": MAYBE_WHOLE, "n": WHOLE, "planned": WHOLE})
 
 
 def _panel_rows(panel: Panel, made: Mapping[Series, Curve]) -> Iterator[dict[str, Any]]:

@@ -6,8 +6,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rrmctl.errors import UserError
+from rrmctl.store.atomic import DamagedError
 from rrmctl.store.layout import RunFolder
-from rrmctl.store.reader import read_config
+from rrmctl.store.reader import CONFIG_HINT, read_config
 
 if TYPE_CHECKING:
     from rrm.training.config import RunConfig
@@ -30,7 +31,8 @@ def load_config(folder: RunFolder) -> RunConfig | DemosConfig:
     """The run's configuration, checked against its id and against the user's files it names.
 
     Raises:
-        UserError, RrmError: the file is missing, damaged or of another version, or a file it names has changed.
+        DamagedError: the file is missing, damaged or edited.
+        UserError, RrmError: it is of another version, or a file it names has changed.
     """
     from pydantic import ValidationError
 
@@ -49,14 +51,12 @@ def load_config(folder: RunFolder) -> RunConfig | DemosConfig:
     try:
         config = model.model_validate(fields)
     except ValidationError as error:
-        raise UserError(f"{folder.config} is not a configuration: {error}", "move it away and run again") from error
+        raise DamagedError(f"{folder.config} is not a configuration: {error}", CONFIG_HINT) from error
     if isinstance(config, RunConfig):
         _check_files(config)
     if config.identity != folder.id:
-        raise UserError(
-            f"{folder.config} describes run {config.identity}, not {folder.id}: it was edited",
-            "move the run's folder away and run the experiment again",
-        )
+        told = f"{folder.config} describes run {config.identity}, not {folder.id}: it was edited"
+        raise DamagedError(told, CONFIG_HINT)
     return config
 
 

@@ -243,7 +243,7 @@ def _record_failure(lease: Lease, reason: RunError) -> None:
 
 
 def _reason(folder: RunFolder, error: Exception) -> tuple[WorkerExit, RunError]:
-    from rrm.errors import RrmError
+    from rrm.errors import MissingResultError, RrmError
 
     if isinstance(error, OSError) and error.errno in atomic.STORAGE_ERRNOS:
         error = atomic.storage_error(Path(error.filename or folder.path), error, "read or write")
@@ -252,7 +252,9 @@ def _reason(folder: RunFolder, error: Exception) -> tuple[WorkerExit, RunError]:
         message = f"{error} ({error.todo}, then `rrmctl resume` goes on)"
         return WorkerExit.STORAGE, RunError(kind=ErrorKind.STORAGE, type=name, message=message)
     if isinstance(error, UserError | RrmError):
-        return WorkerExit.REFUSED, RunError(kind=ErrorKind.REFUSED, type=name, message=_told(error))
+        others = isinstance(error, atomic.DamagedError | MissingResultError)
+        kind = ErrorKind.DAMAGED if others else ErrorKind.REFUSED
+        return WorkerExit.REFUSED, RunError(kind=kind, type=name, message=_told(error))
     return WorkerExit.CRASHED, RunError(kind=ErrorKind.CRASHED, type=name, message=str(error))
 
 

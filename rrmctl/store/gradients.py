@@ -7,12 +7,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rrmctl.store.atomic import DamagedError, unreadable
-from rrmctl.store.layout import Layout, RunFolder
+from rrmctl.store.frame import NUMBER, TEXT, WHOLE, frame, typed
+from rrmctl.store.layout import RunFolder
+from rrmctl.store.reader import new_results
 
 if TYPE_CHECKING:
     import pandas as pd
 
-_COLUMNS = ("step", "loss", "gradient_norm")
+_KINDS = {"run": TEXT, "step": WHOLE, "loss": TEXT, "gradient_norm": NUMBER}
+_COLUMNS = tuple(_KINDS)[1:]
 
 
 def load_gradients(results: str | Path, runs: Sequence[str]) -> pd.DataFrame:
@@ -31,9 +34,9 @@ def load_gradients(results: str | Path, runs: Sequence[str]) -> pd.DataFrame:
     """
     import pandas as pd
 
-    folders = (Layout(Path(results)).run(run) for run in dict.fromkeys(runs))
+    folders = (new_results(results).run(run) for run in dict.fromkeys(runs))
     frames = [_read(folder) for folder in folders if folder.gradients.is_file()]
-    return pd.concat(frames, ignore_index=True) if frames else pd.DataFrame(columns=["run", *_COLUMNS])
+    return pd.concat([frame([], _KINDS), *frames], ignore_index=True)
 
 
 def _read(folder: RunFolder) -> pd.DataFrame:
@@ -47,9 +50,9 @@ def _read(folder: RunFolder) -> pd.DataFrame:
         raise unreadable(folder.gradients, error) from error
     try:
         file = pq.ParquetFile(pa.BufferReader(data), page_checksum_verification=True)
-        frame: pd.DataFrame = file.read().to_pandas()
+        norms: pd.DataFrame = file.read().to_pandas()
     except (pa.ArrowException, OSError, ValueError) as error:
         raise DamagedError(f"{folder.gradients} is damaged: {error}", hint) from error
-    if tuple(frame.columns) != _COLUMNS:
-        raise DamagedError(f"{folder.gradients} is damaged: its columns are {', '.join(frame.columns)}", hint)
-    return frame.astype({"loss": str}).assign(run=folder.id)[["run", *_COLUMNS]]
+    if tuple(norms.columns) != _COLUMNS:
+        raise DamagedError(f"{folder.gradients} is damaged: its columns are {', '.join(norms.columns)}", hint)
+    return typed(norms.assign(run=folder.id)[list(_KINDS)], _KINDS)

@@ -9,9 +9,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from rrmctl.store.frame import MAYBE_WHOLE, NUMBER, TEXT, frame
 from rrmctl.store.layout import RunFolder
 from rrmctl.store.provenance import read_provenance
-from rrmctl.store.reader import PLANNED, open_results, planned, read_config, read_curve
+from rrmctl.store.reader import PLANNED_KINDS, open_results, planned, read_config, read_curve
 from rrmctl.store.schema import LABELS, MEASURED, curve_schema
 
 if TYPE_CHECKING:
@@ -100,8 +101,6 @@ def settings(config: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
 
 def table(runs: Iterable[Run]) -> pd.DataFrame:
     """One row for each run: the columns of `rrmctl.store.planned`, then `FACTS`, with what it spent."""
-    import pandas as pd
-
-    frame = pd.DataFrame([run.plan | run.facts() for run in runs], columns=[*PLANNED, *FACTS])
-    whole = dict.fromkeys(("evaluations", "queries", "labels", "threads", "config_version", "resumed"), "Int64")
-    return frame.astype({**whole, "wall_s": "float64"})
+    whole = ("evaluations", "queries", "labels", "threads", "config_version", "resumed")
+    facts = dict.fromkeys(FACTS, TEXT) | dict.fromkeys(whole, MAYBE_WHOLE) | {"wall_s": NUMBER}
+    return frame((run.plan | run.facts() for run in runs), PLANNED_KINDS | facts)

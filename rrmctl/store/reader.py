@@ -8,16 +8,18 @@ import os
 from collections.abc import Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
+from rrm.files import place
 from rrmctl.errors import UserError
 from rrmctl.store import shape
 from rrmctl.store.atomic import DamagedError, StorageError, is_locked, read_json, unreadable
 from rrmctl.store.curve import decode
+from rrmctl.store.frame import TEXT, WHOLE, frame, typed
 from rrmctl.store.layout import Layout, RunFolder
 from rrmctl.store.records import ErrorKind, RunError, State, Status, read_status
-from rrmctl.store.schema import IDENTITY, LABELS, MEASURED, curve_schema
-from rrmctl.store.sweeps import JobRecord, SweepRecord, read_sweeps
+from rrmctl.store.schema import LABELS, MEASURED, curve_schema
+from rrmctl.store.sweeps import JobRecord, Requiring, SweepRecord, read_sweeps
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -40,18 +42,6 @@ def run_status(folder: RunFolder) -> Status:
     if status.state is State.RUNNING and not is_locked(folder.lock):
         return dataclasses.replace(status, state=State.INTERRUPTED)
     return status
-
-
-class Requiring(Protocol):
-    """A planned or recorded job."""
-
-    @property
-    def id(self) -> str:
-        """Of its run."""
-
-    @property
-    def requires(self) -> tuple[str, ...]:
-        """Ids of the runs that must be done before it."""
 
 
 def statuses(layout: Layout, jobs: Iterable[Requiring]) -> dict[str, Status]:
@@ -92,17 +82,21 @@ def read_config(folder: RunFolder) -> dict[str, Any]:
     """The run's `config.json`.
 
     Raises:
-        DamagedError: it is damaged, or lacks what every configuration has.
-        UserError: there is none, or it cannot be read now.
+        DamagedError: there is none, it is damaged, or lacks what every configuration has.
+        StorageError: it cannot be read now.
     """
-    config = read_json(folder.config)
+    try:
+        config = read_json(folder.config)
+    except DamagedError as error:
+        raise DamagedError(str(error), CONFIG_HINT) from error
     if config is None:
-        raise UserError(f"{folder.config} is missing", _CONFIG_HINT)
-    shape.check(config, _CONFIG, folder.config, _CONFIG_HINT)
+        raise DamagedError(f"{folder.config} is missing", CONFIG_HINT)
+    shape.check(config, _CONFIG, folder.config, CONFIG_HINT)
     return config
 
 
-_CONFIG_HINT = "run its experiment again: `rrmctl run NAME` writes it anew"
+#: What to do about a configuration that is not what it should be.
+CONFIG_HINT = "run its experiment again: `rrmctl run NAME` writes it anew"
 
 #: What the program itself reads; the rest is checked when the run starts.
 _CONFIG = dict.fromkeys(("id", "cell", "profile", "task", "method", "precision"), shape.TEXT) | dict.fromkeys(
@@ -169,15 +163,15 @@ def load(results: str | Path = "results", experiment: str | None = None) -> pd.D
 
     Returns:
         Columns `experiment, variant, profile, task, method, teacher, feedback, seed, run, cell, state`, then those of
-        `rrm.types.EvalRow`. A run that two experiments or two labels share appears once for each.
+        `rrm.types.EvalRow`: text (`rrmctl.store.frame`), `seed` and what is counted int64, what is measured
+        float64 and NaN where there is nothing. A run that two experiments or two labels share appears once for each.
 
     Raises:
         UserError: the experiment has never been run here, or a file is damaged; the message names it.
     """
     import pandas as pd
 
-    table = planned(results, experiment)
-    layout = Layout(Path(results))
+    layout, table = open_results(results), planned(results, experiment)
     if experiment is None:
         table = pd.concat([table, _unplanned(layout, set(table["run"]))], ignore_index=True)
     curves = _curves(layout, list(dict.fromkeys(table["run"])))
@@ -193,22 +187,21 @@ def planned(results: str | Path = "results", experiment: str | None = None, *, n
 
     Returns:
         The columns of `PLANNED`: `overrides` is JSON, `state` one of `rrmctl.store.records.State`, `step` the last
-        known of a run and `steps` its length, `error` empty where there was none.
+        known of a run and `steps` its length, `error` empty where there was none. `seed`, `attempt`, `step` and
+        `steps` are int64, the others text (`rrmctl.store.frame`).
 
     Raises:
         UserError: the experiment has never been run here, or a sweep record is damaged.
     """
-    import pandas as pd
-
     layout = open_results(results)
     sweeps = find_sweeps(layout, experiment) if experiment is not None else read_sweeps(layout)
     states = statuses(layout, (job for sweep in sweeps for job in sweep.everything))
-    rows = [
+    rows = (
         _planned_row(sweep, job, states[job.id])
         for sweep in sweeps
         for job in (sweep.merely_needed if needed else sweep.jobs)
-    ]
-    return pd.DataFrame(rows, columns=list(PLANNED))
+    )
+    return frame(rows, PLANNED_KINDS)
 
 
 #: Columns of `planned`.
@@ -216,6 +209,8 @@ PLANNED = (
     "experiment", "variant", "profile", "overrides", "task", "method", "teacher", "feedback", "seed", "run", "cell",
     "state", "attempt", "step", "steps", "error",
 )  # fmt: skip
+#: The same with their types.
+PLANNED_KINDS = dict.fromkeys(PLANNED, TEXT) | dict.fromkeys(("seed", "attempt", "step", "steps"), WHOLE)
 
 
 def open_results(results: str | Path) -> Layout:
@@ -236,7 +231,7 @@ def new_results(results: str | Path) -> Layout:
     Raises:
         UserError: it is a file.
     """
-    root = Path(results)
+    root = place(results)
     if root.exists() and not root.is_dir():
         raise UserError(f"{root} is a file, not a folder", "name a folder with --results; the default is results")
     return Layout(root)
@@ -287,8 +282,6 @@ def _planned_row(sweep: SweepRecord, job: JobRecord, status: Status) -> tuple[An
 
 def _unplanned(layout: Layout, known: set[str]) -> pd.DataFrame:
     """Rows like those of `planned`, for run folders that no sweep names."""
-    import pandas as pd
-
     rows = []
     for run in (name for name in layout.run_ids() if name not in known):
         if not layout.run(run).config.exists():
@@ -298,7 +291,7 @@ def _unplanned(layout: Layout, known: set[str]) -> pd.DataFrame:
         blank = {"experiment": "", "variant": "", "overrides": "{}", "teacher": "", "feedback": ""}
         progress = {"state": str(status.state), "attempt": status.attempt, "step": status.step}
         rows.append(blank | told | progress | {"run": run, "error": str(status.error or "")})
-    return pd.DataFrame(rows, columns=list(PLANNED))
+    return frame(rows, PLANNED_KINDS)
 
 
 def _curves(layout: Layout, runs: Sequence[str]) -> pd.DataFrame:
@@ -309,5 +302,4 @@ def _curves(layout: Layout, runs: Sequence[str]) -> pd.DataFrame:
     with ThreadPoolExecutor(max_workers=8) as threads:
         tables = [table for table in threads.map(lambda run: read_curve(layout.run(run)), runs) if table is not None]
     curves: pa.Table = pa.concat_tables([curve_schema().empty_table(), *tables])
-    frame: pd.DataFrame = curves.drop_columns([name for name in IDENTITY if name != "run"]).to_pandas()
-    return frame[["run", *MEASURED]]
+    return typed(curves.select(["run", *MEASURED]).to_pandas())

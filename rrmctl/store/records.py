@@ -44,6 +44,7 @@ class ErrorKind(StrEnum):
     HUNG = "hung"  #: gave no sign of life and was ended
     MEMORY = "memory"  #: took more memory than it may and was ended
     STORAGE = "storage"  #: the results folder took no write
+    DAMAGED = "damaged"  #: a file that others make for it is damaged or gone; once that is made again, it goes on
     BLOCKED = "blocked"  #: a run that it needs has failed
 
 
@@ -143,13 +144,15 @@ def write_status(folder: RunFolder, status: Status) -> None:
 
 
 def record_failure(folder: RunFolder, error: RunError) -> None:
-    """Record that a run failed whose worker could not say so. Leaves a run alone that another process owns by now.
+    """Record that a run failed whose worker could not say so, if that is its end (`ErrorKind.DAMAGED` is not).
+
+    Leaves a run alone that another process owns by now.
 
     Raises:
         StorageError: the folder takes no write.
         DamagedError, VersionError: its status is damaged, or of another version.
     """
-    lock = try_lock(folder.lock, PATIENCE_S)
+    lock = None if error.kind is ErrorKind.DAMAGED else try_lock(folder.lock, PATIENCE_S)
     if lock is None:
         return
     try:

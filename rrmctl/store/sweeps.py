@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import dataclasses
 import graphlib
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, Protocol, Self
 
 from rrmctl.errors import UserError
 from rrmctl.store import shape
-from rrmctl.store.atomic import DamagedError, StorageError, locked, read_json, remove_leftovers, write_json
+from rrmctl.store.atomic import DamagedError, StorageError, locked, read_json, remove_leftovers, set_aside, write_json
 from rrmctl.store.layout import Layout
 from rrmctl.store.schema import SCHEMA_VERSION
 
@@ -29,6 +29,11 @@ class JobRecord:
     seed: int
     steps: int
     requires: tuple[str, ...] = ()  #: ids of the runs that must be done before it
+
+    @property
+    def place(self) -> tuple[str, str, str, str, int]:
+        """What it is in a report, where one run can be at a time."""
+        return (self.task, self.method, self.teacher, self.feedback, self.seed)
 
     @property
     def label(self) -> str:
@@ -52,6 +57,7 @@ class SweepRecord:
     overrides: dict[str, Any] = field(default_factory=dict)
     jobs: tuple[JobRecord, ...] = ()
     needed: tuple[JobRecord, ...] = ()  #: runs that jobs need; nothing reports them, and some may be jobs as well
+    superseded: tuple[JobRecord, ...] = ()  #: another run was asked for in their place, of other settings or files
 
     @property
     def everything(self) -> tuple[JobRecord, ...]:
@@ -61,17 +67,22 @@ class SweepRecord:
     @property
     def merely_needed(self) -> tuple[JobRecord, ...]:
         """Runs that jobs need and that are no jobs themselves."""
-        asked = {job.id for job in self.jobs}
-        return tuple(job for job in self.needed if job.id not in asked)
+        known = {job.id: job for job in (*self.superseded, *self.needed)}
+        wanted = required(self.jobs, known.values()) - {job.id for job in self.jobs}
+        return tuple(job for run, job in known.items() if run in wanted)
 
     def union(self, other: SweepRecord) -> SweepRecord:
-        """With the jobs of another record of the same variant, in order of first appearance."""
-        jobs, needed = (dict.fromkeys(both) for both in ((*self.jobs, *other.jobs), (*self.needed, *other.needed)))
-        return dataclasses.replace(self, jobs=tuple(jobs), needed=tuple(needed))
+        """With the jobs of another record of the same variant, asked for later, in order of first appearance."""
+        jobs, superseded = _told_apart((*self.superseded, *self.jobs, *other.jobs))
+        needed = tuple(dict.fromkeys((*self.needed, *other.needed)))
+        return dataclasses.replace(self, jobs=jobs, superseded=superseded, needed=needed)
 
     def to_json(self) -> dict[str, Any]:
-        """A JSON object; `from_json` is the inverse."""
-        return {"schema_version": SCHEMA_VERSION, **dataclasses.asdict(self)}
+        """A JSON object; `from_json` is the inverse. Superseded jobs stand before what replaced them."""
+        order = {job.place: at for at, job in enumerate(self.jobs)}
+        jobs = sorted((*self.superseded, *self.jobs), key=lambda job: order[job.place])
+        content = dataclasses.asdict(dataclasses.replace(self, jobs=tuple(jobs)))
+        return {"schema_version": SCHEMA_VERSION, **{key: content[key] for key in content if key != "superseded"}}
 
     @classmethod
     def from_json(cls, value: dict[str, Any], path: Path) -> Self:
@@ -88,11 +99,41 @@ class SweepRecord:
             told = f"{content['experiment']!r} ({content['variant']!r})"
             raise DamagedError(f"{path} is damaged: it is the record of {told}", hint)
         try:
-            jobs, needed = (_jobs(content.pop(name, []), name, path) for name in ("jobs", "needed"))
-            _check_order((*jobs, *needed), path)
-            return cls(**content, jobs=jobs, needed=needed)
+            named, needed = (_jobs(content.pop(name, []), name, path) for name in ("jobs", "needed"))
+            _check_order((*named, *needed), path)
+            jobs, superseded = _told_apart(named)
+            return cls(**content, jobs=jobs, superseded=superseded, needed=needed)
         except TypeError as problem:  # a field nobody knows
             raise DamagedError(f"{path} is damaged: {problem}", hint) from problem
+
+
+def _told_apart(named: Sequence[JobRecord]) -> tuple[tuple[JobRecord, ...], tuple[JobRecord, ...]]:
+    """Of jobs that were named one after the other, the last in each place; and those that they superseded."""
+    latest = {job.place: job for job in named}
+    return tuple(latest.values()), tuple(dict.fromkeys(job for job in named if latest[job.place].id != job.id))
+
+
+class Requiring(Protocol):
+    """A planned or recorded job."""
+
+    @property
+    def id(self) -> str:
+        """Of its run."""
+
+    @property
+    def requires(self) -> tuple[str, ...]:
+        """Ids of the runs that must be done before it."""
+
+
+def required(jobs: Iterable[Requiring], known: Iterable[Requiring]) -> set[str]:
+    """Ids of the runs that jobs need, and that those need, as far as they are known."""
+    requires = {job.id: job.requires for job in known}
+    left, found = [run for job in jobs for run in job.requires], set[str]()
+    while left:
+        run = left.pop()
+        left += () if run in found else requires.get(run, ())
+        found.add(run)
+    return found
 
 
 _SWEEP = {
@@ -137,7 +178,7 @@ def _check_order(jobs: Sequence[JobRecord], path: Path) -> None:
 
 def _sweep_hint(path: Path) -> str:
     return (
-        f"move it away; the `rrmctl run {path.parent.name} ...` that made it makes it again, and trains nothing twice"
+        f"the `rrmctl run {path.parent.name} ...` that made it sets it aside, makes it again and trains nothing twice"
     )
 
 
@@ -184,6 +225,22 @@ def read_sweep(path: Path) -> SweepRecord | None:
     except DamagedError as error:
         raise DamagedError(str(error), _sweep_hint(path)) from error
     return None if value is None else SweepRecord.from_json(value, path)
+
+
+def set_damaged_aside(layout: Layout, path: Path) -> str | None:
+    """Make room for a new record where the one at `path` is damaged; what a person should know of that.
+
+    Raises:
+        StorageError: it cannot be read now, or the results folder takes no write.
+        VersionError: it is of another schema version.
+    """
+    with locked(layout.sweep_lock(path.parent.name)):
+        try:
+            read_sweep(path)
+        except DamagedError as error:
+            aside = set_aside(path, "corrupt").name
+            return f"{error}; set aside as {aside} and written anew, with what is asked for now and nothing else"
+    return None
 
 
 def record_sweep(layout: Layout, asked: SweepRecord) -> SweepRecord:

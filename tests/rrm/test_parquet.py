@@ -49,6 +49,27 @@ def test_what_nobody_can_be_reading_any_more_is_dropped(monkeypatch: pytest.Monk
     assert len(encode(table, two)) == len(one) < len(two)
 
 
+def test_equal_content_leaves_the_file_alone(tmp_path: Path) -> None:
+    """NaN is equal to itself, and another layout is no other content; other values, types or metadata are."""
+    path = tmp_path / "table.parquet"
+    table = pa.table({"a": [1.0, float("nan")], "b": ["x", "y"]}, metadata={"version": "1"})
+    pq.write_table(table, path, compression="gzip", use_dictionary=False)
+    for same in (table, pa.table(table.to_pydict(), metadata={"version": "1"})):
+        before = (path.read_bytes(), path.stat().st_mtime_ns)
+        write_table(path, same)
+        assert (path.read_bytes(), path.stat().st_mtime_ns) == before
+    others = (
+        pa.table({"a": [1.0, 2.0], "b": ["x", "y"]}, metadata={"version": "1"}),
+        table.replace_schema_metadata({"version": "2"}),
+        table.cast(pa.schema([("a", "float32"), ("b", "string")], metadata={"version": "1"})),
+    )
+    for other in others:
+        write_table(path, other)
+        read = pq.read_table(path)
+        assert (str(read.to_pydict()), read.schema) == (str(other.to_pydict()), other.schema)
+        assert read.schema.metadata[b"version"] == other.schema.metadata[b"version"]
+
+
 @pytest.mark.parametrize("before", [b"", b"PAR1", b"PAR1" * 9, os.urandom(500)])
 def test_a_damaged_predecessor_is_none(before: bytes) -> None:
     """Nor is one without pages, or one that another program wrote."""

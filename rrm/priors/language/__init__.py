@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rrm.errors import ConfigError, RefusedCodeError
+from rrm.files import place
 from rrm.priors.language.record import Record, parse_record, read_source
 from rrm.priors.language.translate import ENTRY, Admitted, admit
 from rrm.priors.language.words import OUTCOMES, TASK_FEATURES
@@ -86,7 +87,7 @@ def check_reads(admitted: Admitted, task: Task) -> None:
 
 def _admitted(name: str) -> tuple[Admitted, Record]:
     location, _, function = name.rpartition(":")
-    path = Path(location)
+    path = place(location)
     if function != ENTRY:
         raise RefusedCodeError(f'prior "{name}": a language prior is called {ENTRY}, as in {location}:{ENTRY}')
     source = read_source(path)

@@ -2,8 +2,8 @@
 
 Success is read at the first step at which 80 % of the seeds of any
 method but the oracle are at 100 %, else at the last step; returns at
-the last step. Profiles and overrides never share a table. The whole
-curves are written to aggregates/NAME.parquet in the results folder.
+the last step. Profiles and overrides never share a table. `run` and
+`resume` leave the whole curves in aggregates/NAME.parquet.
 """
 
 from __future__ import annotations
@@ -11,7 +11,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
-from rrmctl.reports import aggregates
 from rrmctl.reports.document import (
     INTERVAL,
     NOTHING,
@@ -32,8 +31,6 @@ from rrmctl.stats.curves import SHARE
 if TYPE_CHECKING:
     import pandas as pd
 
-    from rrmctl.store.layout import Layout
-
 EXPERIMENT = None
 
 #: Beside a step that is merely the last one, and before the note that says so.
@@ -43,11 +40,6 @@ LAST_MARK = "*"
 def make(sections: Sequence[Section], settings: Settings) -> list[Report]:
     """A table for each section."""
     return [_report(section, settings) for section in sections]
-
-
-def keep(layout: Layout, sections: Sequence[Section], settings: Settings) -> None:
-    """Write the curves behind the tables, as `rrmctl.reports.aggregates` describes."""
-    aggregates.write(layout, sections, settings)
 
 
 def _report(section: Section, settings: Settings) -> Report:

@@ -37,7 +37,6 @@ def build(
     profile: str | None = None,
     settings: Settings = DEFAULTS,
     allow_mixed: bool = False,
-    written: str = "",
 ) -> str:
     """The page as a document. Equal stores give equal pages.
 
@@ -45,7 +44,6 @@ def build(
         experiments: only these, in this order; all of the store where none is named.
         profile: only runs at this scale.
         allow_mixed: take runs together that were made by different versions or precisions, and say so.
-        written: when, for people.
 
     Raises:
         UserError: the store holds no run of an experiment or profile that is named, or none at all; a file is damaged.
@@ -56,7 +54,7 @@ def build(
     variants = [each for each in found if profile in (None, each.runs[0].plan["profile"])]
     sections = [each.section for each in variants if isinstance(each.section, Section) and each.section.contained]
     gathered = gather(sections, settings)
-    told = [_overview(variants), _made(_command(results, experiments, profile, settings, allow_mixed), written)]
+    told = [_overview(variants), _made(_command(results, experiments, profile, settings, allow_mixed))]
     common = Part(*tables_at(SEVERAL, "common", gathered))
     parts = [
         Part("overview", "Overview", joined(told), (common,) if common.body else ()),
@@ -104,10 +102,9 @@ def _command(
     return shlex.join([*words, *(["--allow-mixed"] if allow_mixed else [])])
 
 
-def _made(command: str, written: str) -> Html:
+def _made(command: str) -> Html:
     """How the page came about."""
-    told = f"Written by rrmctl {rrm.__version__}" + (f", {written}" if written else "") + ", with"
-    return element("p", told, " ", element("code", command))
+    return element("p", f"Written by rrmctl {rrm.__version__}, with ", element("code", command))
 
 
 def _whole(heading: str, parts: Sequence[Part]) -> str:

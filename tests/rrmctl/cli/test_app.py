@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import errno
+import inspect
+import json
 import os
 import subprocess
 import sys
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any, get_args
 
 import pytest
 import typer
@@ -14,6 +18,7 @@ from typer.testing import CliRunner, Result
 
 import rrm
 from rrm.errors import ConfigError
+from rrm.files import place
 from rrmctl.cli.app import _Commands, app
 from rrmctl.errors import UserError
 
@@ -151,3 +156,41 @@ def test_files_that_lie_around_are_no_modules(tmp_path: Path) -> None:
         command = [sys.executable, "-P", "-c", code, "plan", "toy-car"]
         done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
         assert said in done.stdout, done.stderr
+
+
+def commands(program: typer.Typer) -> Iterator[Callable[..., Any]]:
+    """The function of every command, those of groups included."""
+    yield from (each.callback for each in program.registered_commands if each.callback is not None)
+    for group in program.registered_groups:
+        assert group.typer_instance is not None
+        yield from commands(group.typer_instance)
+
+
+def test_every_path_may_begin_with_the_home_folder(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """No shell replaces the ~ of `--results=~/there`, and none that of an environment variable in quotes."""
+    paths = 0
+    for command in commands(app):
+        for name, parameter in inspect.signature(command, eval_str=True).parameters.items():
+            kind, *how = get_args(parameter.annotation)
+            if kind is Path or Path in get_args(kind):
+                assert how[0].parser is place, (command, name)
+                paths += 1
+    assert paths > 20
+    monkeypatch.setenv("HOME", str(tmp_path))
+    assert place("~/there") == tmp_path / "there"
+    assert place("~nobody-is-called-so/there") == Path("~nobody-is-called-so/there")
+
+
+def test_a_home_folder_in_words(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """In `--prior`, `--set imitation.demos=` and the name of a manifest it is the home folder as well."""
+    monkeypatch.setenv("HOME", str(tmp_path))
+    monkeypatch.setenv("RRMCTL_RESULTS", "~/results")
+    (tmp_path / "mine.py").write_text("def p(step):\n    return 0.0\n")
+    (tmp_path / "d.safetensors").write_bytes(b"demonstrations")
+    (tmp_path / "mine.toml").write_bytes((ROOT / "experiments" / "toy-car.toml").read_bytes())
+    words = ["plan", "~/mine.toml", "--prior", "~/mine.py:p", "--set", "imitation.demos=~/d.safetensors"]
+    planned = CliRunner().invoke(app, [*words, "--prior", "imitation", "--methods", "rrm-p,rrm-imitation", "--json"])
+    assert planned.exit_code == 0, planned.output
+    assert {job["method"] for job in json.loads(planned.stdout)["jobs"]} == {"rrm-p", "rrm-imitation"}
+    status = CliRunner().invoke(app, ["status"])
+    assert f"there is no results folder {tmp_path}/results" in " ".join(status.stderr.split())

@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -30,11 +31,23 @@ SWEEP = [
 ]
 
 
+def full_disk() -> int:
+    return os.open("/dev/full", os.O_WRONLY)
+
+
+def abandoned_pipe() -> int:
+    reading, writing = os.pipe()
+    os.close(reading)
+    return writing
+
+
 @pytest.mark.slow
-def test_a_full_disk_behind_the_output_costs_the_output_alone(tmp_path: Path) -> None:
+@pytest.mark.parametrize("behind", [full_disk, abandoned_pipe])
+def test_output_that_cannot_be_written_costs_the_output_alone(tmp_path: Path, behind: Callable[[], int]) -> None:
     """Standard output and error go where nothing can be written: the sweep is run to its end."""
-    with Path("/dev/full").open("wb") as full:
-        done = subprocess.run([*PROGRAM, *SWEEP, "--results", str(tmp_path)], stdout=full, stderr=full, check=False)
+    output = behind()
+    done = subprocess.run([*PROGRAM, *SWEEP, "--results", str(tmp_path)], stdout=output, stderr=output, check=False)
+    os.close(output)
     assert done.returncode == 0
     assert planned(tmp_path, "toy-car")["state"].tolist() == ["done"]
 

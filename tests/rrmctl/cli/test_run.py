@@ -210,6 +210,26 @@ def test_show(tmp_path: Path) -> None:
     )
 
 
+def test_show_for_programs(tmp_path: Path) -> None:
+    """Valid JSON, with null for what is no number, and with what could not be read."""
+    layout, ids = finished(tmp_path)
+    folder = layout.run(ids[0])
+    curve = CurveWriter(folder, json.loads(folder.config.read_text()) | {"run": folder.id})
+    curve.add(dataclasses.asdict(row(30)) | {"critic_loss": float("nan"), "actor_loss": float("inf")})
+    folder.log.write_text("one\ntwo\n")
+    told = json.loads(call("show", ids[0], "--json", "--results", tmp_path).stdout, parse_constant=pytest.fail)
+    assert (told["run"], told["state"]["state"], told["config"]["method"]) == (ids[0], "done", "oracle")
+    assert (told["evaluations"][-1]["step"], told["evaluations"][-1]["critic_loss"]) == (30, None)
+    assert told["evaluations"][-1]["actor_loss"] is None
+    assert (told["log"], told["damage"], told["provenance"]) == (["one", "two"], {}, None)
+    assert [(use["experiment"], use["seed"], use["superseded"]) for use in told["uses"]] == [("toy-car", 0, False)]
+    assert told["again"][0].startswith("rrmctl run toy-car")
+    folder.config.write_text("{")
+    told = json.loads(call("show", ids[0], "--json", "--results", tmp_path).stdout)
+    assert told["config"] is None
+    assert "config.json cannot be read" in told["damage"]["config"]
+
+
 def test_show_what_is_not_there(tmp_path: Path) -> None:
     """An id that fits nothing is refused."""
     prepare(tmp_path, range(1))
@@ -234,14 +254,13 @@ def finished(root: Path) -> tuple[Layout, list[str]]:
 
 
 def test_the_end_of_a_sweep_writes_its_aggregates(tmp_path: Path) -> None:
-    """The same file that `report iqm` writes."""
+    """Once; ended again with the same curves, it leaves the file alone."""
     layout, _ = finished(tmp_path)
     assert call("resume", "--results", tmp_path).exit_code == 0
     path = layout.aggregate("toy-car")
-    told = path.read_bytes()
-    path.unlink()
-    assert call("report", "iqm", "toy-car", "--results", tmp_path).exit_code == 0
-    assert path.read_bytes() == told
+    told, when = path.read_bytes(), path.stat().st_mtime_ns
+    assert call("resume", "--results", tmp_path).exit_code == 0
+    assert (path.read_bytes(), path.stat().st_mtime_ns) == (told, when)
 
 
 @pytest.mark.parametrize("command", ["run", "resume"])

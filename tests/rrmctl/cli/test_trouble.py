@@ -8,9 +8,11 @@ from pathlib import Path
 
 import pytest
 
+from rrmctl.cli.request import Request
 from rrmctl.store import shape
 from rrmctl.store.layout import Layout
-from tests.rrmctl.cli.test_run import PLAN, call
+from rrmctl.store.records import State, Status, write_status
+from tests.rrmctl.cli.test_run import EXPERIMENTS, PLAN, call, settle
 from tests.rrmctl.running.standin import prepare
 
 ORACLE = (*PLAN, "--methods", "oracle", "--seeds", "1")
@@ -47,15 +49,17 @@ def test_a_results_folder_of_another_version(
     assert held(tmp_path) == before
 
 
-def test_a_sweep_that_cannot_be_added_to_is_refused_before_anything_is_written(tmp_path: Path) -> None:
-    """Neither configurations nor runs are left behind."""
+def test_a_damaged_record_is_set_aside_and_written_again(tmp_path: Path) -> None:
+    """By the command that asks for the sweep, which says so; the bytes are kept."""
     path = Layout(tmp_path).sweep("toy-car", "smoke")
     path.parent.mkdir(parents=True)
     path.write_text("{")
+    settle(tmp_path, State.DONE, "1")
     result = call("run", *ORACLE, "--results", tmp_path)
-    assert result.exit_code == 2
-    assert "smoke.json cannot be read" in result.stderr
-    assert not (tmp_path / "runs").exists()
+    assert result.exit_code == 0, result.output
+    assert "smoke.json.corrupt-1 and written anew" in result.stderr
+    assert path.with_name("smoke.json.corrupt-1").read_text() == "{"
+    assert json.loads(call("status", "--json", "--results", tmp_path).stdout)["done"] == 1
 
 
 def test_no_space_while_a_sweep_is_recorded(tmp_path: Path) -> None:
@@ -71,3 +75,21 @@ def test_no_space_while_a_sweep_is_recorded(tmp_path: Path) -> None:
     assert "make space, then run the same command again" in " ".join(result.stderr.split())
     assert "resume" not in result.output
     assert json.loads(call("status", "--json", "--results", tmp_path).stdout)["runs"] == 0
+
+
+@pytest.mark.slow
+def test_a_run_without_its_configuration_is_healed_by_running_its_experiment_again(tmp_path: Path) -> None:
+    """Gone between planning and start: `resume` says so and fails nothing for good; `run` writes it anew and trains."""
+    sweep = ("run", *ORACLE, "--set", "steps=300", "--workers", "1", "--results", tmp_path)
+    plan = Request("toy-car", EXPERIMENTS, "smoke", "1", methods=["oracle"], overrides=["steps=300"]).plan()
+    folder = Layout(tmp_path).run(plan.jobs[0].id)
+    write_status(folder, Status(state=State.DONE))
+    assert call(*sweep).exit_code == 0  # recorded, and nothing to do
+    for path in (folder.status, folder.config):
+        path.unlink()
+    result = call("resume", "--results", tmp_path)
+    assert result.exit_code == 1
+    assert "config.json is missing (run its experiment again: `rrmctl run NAME` writes it anew)" in result.stderr
+    assert "failed" not in call("status", "--results", tmp_path).stdout
+    result = call(*sweep)
+    assert result.exit_code == 0, result.output

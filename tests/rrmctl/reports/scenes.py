@@ -2,6 +2,7 @@
 
 import pandas as pd
 
+from rrmctl.store.frame import typed
 from tests.rrmctl.reports.frames import RISING, Sweep, together
 
 LOW = [[0, 0.1, 0.2, 0.2]] * 5
@@ -65,4 +66,4 @@ def gradients(jobs):
         before = pd.DataFrame({"step": range(10, 201, 10), "loss": "airl", "gradient_norm": norm})
         after = pd.DataFrame({"step": range(210, 401, 10), "loss": "preferences", "gradient_norm": norm / 100})
         frames.append(pd.concat([before, after]).assign(run=job["run"]))
-    return pd.concat(frames, ignore_index=True)
+    return typed(pd.concat(frames, ignore_index=True))

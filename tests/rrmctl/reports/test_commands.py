@@ -2,14 +2,13 @@ import json
 import subprocess
 import sys
 
-import pandas as pd
 import pytest
 from typer.testing import CliRunner
 
 from rrmctl.cli.app import app
 from rrmctl.store.layout import Layout
 from tests.rrmctl.reports import scenes
-from tests.rrmctl.reports.frames import RISING, Sweep
+from tests.rrmctl.reports.frames import Sweep
 
 
 @pytest.fixture
@@ -23,14 +22,12 @@ def rrmctl(*arguments):
     return CliRunner().invoke(app, [str(each) for each in arguments])
 
 
-def test_the_table_is_printed_and_the_curves_are_kept(results):
-    """`report iqm NAME` prints the table, exits with 0 and leaves the aggregated curves in the store."""
+def test_the_table_is_printed(results):
+    """`report iqm NAME` prints the table and exits with 0."""
     ran = rrmctl("report", "iqm", "main-results", "--results", results, "--replicates", 200)
     assert ran.exit_code == 0
     assert "main-results · profile laptop" in ran.stdout
     assert "14 of 15 planned runs" in ran.stdout
-    kept = pd.read_parquet(results / "aggregates" / "main-results.parquet")
-    assert set(kept["method"]) == set(RISING)
 
 
 def test_without_a_name_every_experiment_is_reported(results):
@@ -38,16 +35,14 @@ def test_without_a_name_every_experiment_is_reported(results):
     Sweep(experiment="toy-car", tasks=("toy-car",), variant="t").write(results)
     ran = rrmctl("report", "iqm", "--results", results, "--format", "json", "--replicates", 100)
     assert [report["experiment"] for report in json.loads(ran.stdout)["reports"]] == ["main-results", "toy-car"]
-    assert len(list((results / "aggregates").iterdir())) == 2
 
 
 def test_a_profile_can_be_singled_out(results):
-    """`--profile` leaves the other profiles out of the table, and in the aggregated file."""
+    """`--profile` leaves the other profiles out of the table."""
     Sweep(profile="smoke", variant="smoke").write(results)
     options = ("--results", results, "--format", "json", "--replicates", 100)
     ran = rrmctl("report", "iqm", "main-results", "--profile", "smoke", *options)
     assert [report["profile"] for report in json.loads(ran.stdout)["reports"]] == ["smoke"]
-    assert set(pd.read_parquet(results / "aggregates" / "main-results.parquet")["profile"]) == {"laptop", "smoke"}
 
 
 def test_a_file_takes_the_place_of_the_terminal(results, tmp_path):
@@ -93,13 +88,44 @@ def test_a_place_that_takes_no_write_is_named(results, tmp_path):
         assert str(blocker) in ran.stderr
 
 
-def test_a_store_that_may_only_be_read_still_reports(results):
-    """Where the aggregated curves cannot be kept the table is printed all the same, and the note is on stderr."""
-    (results / "aggregates").write_text("in the way")
-    ran = rrmctl("report", "iqm", "main-results", "--results", results, "--replicates", 100)
-    assert ran.exit_code == 0
-    assert "rrm-proxy" in ran.stdout
-    assert "the curves were not kept" in ran.stderr
+def everything(folder):
+    """Every file and folder below this one, with content and time of its last change."""
+    return {path: (path.read_bytes() if path.is_file() else b"", path.stat().st_mtime_ns) for path in folder.rglob("*")}
+
+
+def test_reading_commands_change_nothing(results, tmp_path):
+    """Not a byte and not a time of change below the results folder, whatever reads it."""
+    run = Layout(results).run_ids()[0]
+    before = everything(results)
+    for words in (
+        ("report", "iqm", "main-results", "--iqm", "exact"), ("report", "all"), ("report", "power", "main-results"),
+        ("report", "html", "-o", tmp_path / "page.html"), ("plot", "main-results", "-o", tmp_path / "figures"),
+        ("export", "main-results", "--to", "csv", "-o", tmp_path / "csv"), ("status",), ("status", "--failed"),
+        ("show", run), ("plan", "main-results", "--profile", "laptop"),
+    ):  # fmt: skip
+        quick = ("--replicates", 100) if words[0] in ("report", "plot") else ()
+        ran = rrmctl(*words, "--results", results, *quick)
+        assert ran.exit_code == 0, (words, ran.stderr)
+        assert everything(results) == before, words
+
+
+def test_what_is_written_again_with_the_same_content_is_left_alone(results, tmp_path):
+    """Figures, tables, pages and exports of equal results: the files keep their bytes and their times of change."""
+    commands = (
+        ("report", "all", "--format", "latex", "-o", tmp_path / "out/all.tex", "--replicates", 100),
+        ("report", "html", "-o", tmp_path / "out/page.html", "--replicates", 100),
+        ("plot", "main-results", "--figure", "curves", "-o", tmp_path / "out/figures"),
+        ("export", "main-results", "--to", "csv", "-o", tmp_path / "out/csv"),
+        ("export", "main-results", "--to", "tensorboard", "-o", tmp_path / "out/board"),
+    )
+
+    def written():
+        for words in commands:
+            ran = rrmctl(*words, "--results", results)
+            assert ran.exit_code == 0, ran.stderr
+        return everything(tmp_path / "out")
+
+    assert written() == written()
 
 
 def test_figures_are_written_and_named(results):

@@ -6,9 +6,10 @@ from typer.testing import CliRunner
 
 from rrmctl.cli.app import app
 from rrmctl.errors import UserError
-from rrmctl.reports import mixing
+from rrmctl.reports import aggregates, mixing
 from rrmctl.reports.render import FORMATS
 from rrmctl.reports.select import of_profile, read_sections
+from rrmctl.store.layout import Layout
 from tests.rrmctl.reports.frames import RECORDED, RISING, Sweep
 
 SEEDS = [("button-press", "pebble", seed) for seed in range(5)]
@@ -119,7 +120,6 @@ def test_one_variant_refuses_no_other(tmp_path):
             shown(tmp_path, profile)
     made = rrmctl("report", "iqm", "--results", tmp_path, "--profile", "paper", "--replicates", 100)
     assert made.exit_code == 0
-    assert "not kept" in made.stderr  # the file is of all variants
 
 
 def test_a_variant_of_several_configurations_refuses_no_other(tmp_path):
@@ -186,8 +186,9 @@ def test_mixed_curves_are_drawn_on_demand_and_never_kept(tmp_path):
     Sweep(versions=old("pebble", 0, 1, 2, 3, 4)).write(tmp_path)
     assert rrmctl("plot", "main-results", "--results", tmp_path).exit_code == 2
     assert rrmctl("plot", "main-results", "--results", tmp_path, "--allow-mixed").exit_code == 0
-    shown = rrmctl("report", "iqm", "--results", tmp_path, "--allow-mixed", "--replicates", 100)
-    assert "not kept" in shown.stderr
+    for allowed in (False, True):  # the file is of all variants
+        with pytest.raises(UserError, match="not kept"):
+            aggregates.write(Layout(tmp_path), read_sections(tmp_path, allow_mixed=allowed))
     assert not (tmp_path / "aggregates").exists()
 
 
@@ -199,16 +200,20 @@ def test_what_was_trained_anew_takes_the_place_of_the_old(tmp_path):
     (section,) = read_sections(tmp_path)
     assert (section.planned, section.contained, section.absent, section.mixed) == (15, 15, (), ())
     assert set(by_method(section)["pebble"].runs).isdisjoint(by_method(before)["pebble"].runs)
-    assert section.problems == ("15 runs of older configuration versions are left out: newer ones take their place",)
+    assert section.problems == (
+        "15 runs are left out: of other settings, files or versions than what was asked for since.",
+    )
 
 
-def test_until_then_the_old_runs_are_the_report(tmp_path):
-    """While no run of the newer version is done, the old ones are shown and the new ones are named as absent."""
+def test_the_old_runs_are_left_out_from_the_moment_others_are_asked_for(tmp_path):
+    """While no run of the newer version is done there is nothing to report, and the new ones are named as absent."""
     keys = [(TASK, m, s) for m in RISING for s in range(5)]
     Sweep(versions=dict.fromkeys(keys, 1)).write(tmp_path)
     Sweep(states=dict.fromkeys(keys, "queued"), lengths=dict.fromkeys(keys, 0)).write(tmp_path)
     (section,) = read_sections(tmp_path)
-    assert (section.contained, len(section.absent), {each.state for each in section.absent}) == (15, 15, {"queued"})
+    assert (section.contained, len(section.absent), {each.state for each in section.absent}) == (0, 15, {"queued"})
+    with pytest.raises(UserError, match="of the planned ones 15 queued; 15 runs are left out: "):
+        shown(tmp_path)
 
 
 def test_half_a_new_sweep_is_a_mixture(tmp_path):

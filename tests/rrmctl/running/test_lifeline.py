@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import signal
+import subprocess
 import sys
 import time
 from collections.abc import Iterator
@@ -89,6 +90,22 @@ def test_another_parent_than_expected_means_stop() -> None:
     """A worker that was orphaned before it looked for the first time notices as well."""
     with StopRequest(os.getpid(), Pipe(None)) as stop:
         assert stop._requested.wait(10.0)
+
+
+def test_a_worker_that_cannot_leave_ends_itself_and_what_it_started() -> None:
+    """Its parent is gone and it does nothing about that: after its time (here short) nothing of its group is left."""
+    script = (
+        "import os, subprocess, sys, time; from rrmctl.running import lifeline as l; l._GRACE_S = 0.2;"
+        "other = subprocess.Popen([sys.executable, '-c', 'import time; time.sleep(600)'], stdout=subprocess.DEVNULL);"
+        "print(other.pid, flush=True); l.StopRequest(os.getpid(), l.Pipe(None)).__enter__(); time.sleep(600)"
+    )
+    worker = subprocess.Popen([sys.executable, "-c", script], stdout=subprocess.PIPE, start_new_session=True)
+    assert worker.stdout is not None
+    other = Path(f"/proc/{int(worker.stdout.readline())}/stat")
+    assert worker.wait(60) == -signal.SIGKILL
+    while other.exists() and other.read_text().rpartition(")")[2].split()[0] != "Z":
+        time.sleep(0.02)
+    worker.stdout.close()
 
 
 def test_rubbish_in_the_pipe_is_shown_not_obeyed(tmp_path: Path) -> None:

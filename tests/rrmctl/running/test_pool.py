@@ -232,6 +232,19 @@ def test_a_failing_job_fails_alone_and_says_why(
         assert "RuntimeError: boom" in log_tail(layout.run(assigned[1].id))
 
 
+def test_a_run_without_its_configuration_goes_on_once_that_is_there(tmp_path: Path) -> None:
+    """It fails alone, with what to do; nothing is recorded that would keep the next command from running it."""
+    layout, assigned = prepare(tmp_path, range(2))
+    folder = layout.run(assigned[1].id)
+    folder.config.unlink()
+    watcher = Record()
+    assert pool(layout, assigned, watcher).run() is Exit.FAILED
+    assert states(layout, assigned) == [State.DONE, State.QUEUED]
+    assert "config.json is missing (run its experiment again: `rrmctl run NAME` writes it anew)" in watcher.errors[0]
+    prepare(tmp_path, range(2))
+    assert pool(layout, assigned[1:], Record()).run() is Exit.DONE
+
+
 @pytest.mark.slow
 def test_a_crash_that_does_not_repeat_itself_is_overcome(tmp_path: Path, behave: Callable[..., None]) -> None:
     """The second attempt goes on from the checkpoint of the first."""

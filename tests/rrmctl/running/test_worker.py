@@ -7,6 +7,7 @@ import json
 import os
 import signal
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -43,9 +44,9 @@ def refusal(folder: RunFolder) -> str:
     """Why the worker refuses the run, as its status tells."""
     assert work(folder) is WorkerExit.REFUSED
     status = read_status(folder)
-    assert status.state is State.FAILED
+    assert status.state in (State.FAILED, State.INTERRUPTED)
     assert status.error is not None
-    assert status.error.kind is ErrorKind.REFUSED
+    assert status.error.kind in (ErrorKind.REFUSED, ErrorKind.DAMAGED)
     return status.error.message
 
 
@@ -113,6 +114,26 @@ def test_an_id_without_configuration_makes_no_folder(tmp_path: Path) -> None:
     """A mistyped id is refused and leaves no trace."""
     assert main([str(tmp_path), "feedfacefeedface"], Trainer()) is WorkerExit.REFUSED
     assert not (tmp_path / "runs").exists()
+
+
+def edited(path: Path) -> None:
+    path.write_text(json.dumps(json.loads(path.read_text()) | {"seed": 7}))
+
+
+@pytest.mark.parametrize(
+    "damage", [Path.unlink, lambda path: path.write_text("{"), edited], ids=["gone", "torn", "edited"]
+)
+def test_a_configuration_that_is_gone_or_damaged_is_not_the_runs_end(
+    folder: RunFolder, damage: Callable[[Path], object]
+) -> None:
+    """It is refused, and as soon as the file is written anew it is trained without being asked twice."""
+    content = json.loads(folder.config.read_text())
+    damage(folder.config)
+    assert work(folder) is WorkerExit.REFUSED
+    assert read_status(folder).state in (State.QUEUED, State.INTERRUPTED)
+    record_config(folder, {name: value for name, value in content.items() if name != "checksum"})
+    assert work(folder) is WorkerExit.DONE
+    assert read_status(folder).error is None
 
 
 def test_what_changed_since_the_last_attempt_is_said(

@@ -19,8 +19,8 @@ ERROR = RunError(kind=ErrorKind.REFUSED, type="DemosError", message="the expert 
 
 def job(digit: str, *requires: str, method: str = "rrm-imitation") -> JobRecord:
     return JobRecord(
-        id=digit * 16, cell=digit * 16, task="toy-car", method=method, teacher="-", feedback="-", seed=0, steps=10,
-        requires=tuple(each * 16 for each in requires),
+        id=digit * 16, cell=digit * 16, task="toy-car", method=method, teacher="-", feedback="-", seed=int(digit, 16),
+        steps=10, requires=tuple(each * 16 for each in requires),
     )  # fmt: skip
 
 
@@ -42,6 +42,19 @@ def test_a_record_keeps_what_is_needed(tmp_path: Path) -> None:
     union = record_sweep(layout, SweepRecord(experiment="e", variant="smoke", profile="smoke", jobs=(oracle,)))
     assert [each.id[0] for each in union.everything] == ["1", "2", "3", "4", "0"]
     assert union.needed == record.needed
+
+
+def test_what_is_superseded_may_still_be_needed(tmp_path: Path) -> None:
+    """An oracle that is the expert of others gives way to another as a job, and stays as their need."""
+    oracle = job("0", method="oracle")
+    asked = SweepRecord(
+        experiment="e", variant="smoke", profile="smoke", jobs=(oracle, job("2", "1")), needed=(job("1", "0"),)
+    )
+    record_sweep(Layout(tmp_path), asked)
+    other = replace(oracle, id="f" * 16)
+    union = record_sweep(Layout(tmp_path), replace(asked, jobs=(other,), needed=()))
+    assert union.superseded == (oracle,)
+    assert union.everything == (oracle, job("1", "0"), other, job("2", "1"))
 
 
 def test_a_record_from_before_there_were_needs(tmp_path: Path) -> None:

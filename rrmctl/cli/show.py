@@ -1,0 +1,125 @@
+"""`rrmctl show`: everything that is known of one run."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping
+from dataclasses import asdict
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from rrmctl.cli.options import DEFAULT_RESULTS, ResultsOption
+from rrmctl.cli.state import console_for_tables, note_damage, rerun_command
+from rrmctl.errors import UserError
+
+if TYPE_CHECKING:
+    from rrmctl.store.layout import Layout, RunFolder
+
+#: So many evaluations are shown.
+_LAST = 5
+
+
+def show(
+    run: Annotated[str, typer.Argument(metavar="RUN", help="A run's id, or enough of its first digits.")],
+    results: ResultsOption = DEFAULT_RESULTS,
+    lines: Annotated[int, typer.Option("--lines", min=0, help="Lines of the log's end.")] = 15,
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON for programs.")] = False,
+) -> None:
+    """Show one run: what it is, where it stands, what it ran with, its last evaluations and the end of its log."""
+    from rrmctl.store.reader import find_run, open_results
+
+    layout = open_results(results)
+    known = _known(layout, find_run(layout, run), lines)
+    if as_json:
+        plain = json.loads(json.dumps(known), parse_constant=lambda _: None)  # what is no number is null
+        typer.echo(json.dumps(plain, indent=1, allow_nan=False))
+        return
+    console = console_for_tables()
+    for title, text in _sections(known).items():
+        if text:
+            console.print(title, style="bold")
+            console.print(text, markup=False, soft_wrap=True)
+            console.print()
+
+
+def _known(layout: Layout, folder: RunFolder, lines: int) -> dict[str, Any]:
+    """What there is to know, as JSON has it; what could not be read is null, and why stands in `damage`."""
+    from rrmctl.store.provenance import read_provenance
+    from rrmctl.store.reader import log_tail, read_config, run_status
+    from rrmctl.store.sweeps import readable_sweeps
+
+    damage: dict[str, str] = {}
+
+    def read(name: str, of: Callable[[], Any]) -> Any:
+        try:
+            return of()
+        except UserError as error:
+            damage[name] = f"{error} ({error.hint})" if error.hint else str(error)
+            return None
+
+    sweeps, unread = readable_sweeps(layout)
+    note_damage(unread)
+    uses = [
+        {
+            "experiment": sweep.experiment,
+            "variant": sweep.variant,
+            "superseded": gone,
+            **asdict(job),
+            "label": job.label,
+        }
+        for sweep in sweeps
+        for jobs, gone in ((sweep.everything, False), (sweep.superseded, True))
+        for job in jobs
+        if job.id == folder.id
+    ]
+    return {
+        "run": folder.id,
+        "path": str(folder.path),
+        "uses": uses,
+        "state": asdict(run_status(folder)),
+        "config": read("config", lambda: read_config(folder)),
+        "provenance": read("provenance", lambda: read_provenance(folder)),
+        "evaluations": read("evaluations", lambda: _last_rows(folder)),
+        "log": log_tail(folder, lines) if lines else [],
+        "again": [rerun_command(layout, s, job) for s in sweeps for job in s.jobs if job.id == folder.id],
+        "damage": damage,
+    }
+
+
+def _last_rows(folder: RunFolder) -> list[dict[str, Any]]:
+    from rrmctl.store.reader import read_curve
+
+    table = read_curve(folder)
+    return [] if table is None else table.slice(max(0, table.num_rows - _LAST)).to_pylist()
+
+
+def _sections(known: Mapping[str, Any]) -> dict[str, str]:
+    """The same for people, by title."""
+    now, damage = known["state"], known["damage"]
+    uses = (f"{use['experiment']}: {use['label']}{', superseded' * use['superseded']}" for use in known["uses"])
+    state = f"{now['state']}, attempt {now['attempt']}, step {now['step']:,}"
+    state += f" of {now['steps']:,}" if now["steps"] else ""
+    return {
+        f"run {known['run']}": "\n".join([known["path"], *uses]),
+        "state": f"{state}\n{_error(now['error'])}".strip(),
+        "configuration": damage.get("config") or json.dumps(known["config"], indent=1),
+        "provenance": damage.get("provenance")
+        or (json.dumps(known["provenance"], indent=1) * bool(known["provenance"])),
+        "last evaluations": damage.get("evaluations") or "\n".join(map(_row, known["evaluations"])),
+        "end of the log": "\n".join(known["log"]),
+        "again, from nothing": "\n".join(known["again"]),
+    }
+
+
+def _error(error: Mapping[str, Any] | None) -> str:
+    from rrmctl.store.records import RunError
+
+    return "" if error is None else str(RunError.from_json(error))
+
+
+def _row(row: Mapping[str, Any]) -> str:
+    from rrmctl.cli.live import score
+
+    success = row["success"] if row["success"] == row["success"] else None  # NaN: the task has no success
+    return f"step {row['step']:>9,}  {score(success, row['true_return'])}  return {row['true_return']:,.1f}"

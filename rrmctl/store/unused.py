@@ -1,0 +1,71 @@
+"""Runs that no sweep's record asks for any more: superseded ones, and those whose record is gone."""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import os
+import shutil
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+
+from rrm.files import sync_folder
+from rrmctl.store.atomic import PATIENCE_S, locked, storage_error, try_lock, write_json
+from rrmctl.store.layout import Layout
+from rrmctl.store.sweeps import read_sweeps
+
+
+def unused(layout: Layout) -> list[str]:
+    """Ids of the runs below the results root that no record names, sorted.
+
+    Raises:
+        UserError: a record is damaged, cannot be read now, or is of another schema version: it may name any run.
+    """
+    named = {job.id for sweep in read_sweeps(layout) for job in sweep.everything}
+    return [run for run in layout.run_ids() if run not in named]
+
+
+def remove(layout: Layout, runs: Iterable[str]) -> list[str]:
+    """Remove those of these runs that are unused still and that no process owns, each as a whole; their ids.
+
+    Records forget what was superseded and is gone. While it works no command records a sweep.
+
+    Raises:
+        StorageError: the results folder takes no write.
+        UserError: as `unused`.
+    """
+    with _recording_kept_out(layout):
+        for half in (layout.root / "runs").glob(".*.removed"):  # what was begun by one that was killed
+            shutil.rmtree(half)
+        gone = [run for run in unused(layout) if run in set(runs) and _remove(layout.run(run).path)]
+        for sweep in read_sweeps(layout):
+            left = tuple(job for job in sweep.superseded if job.id not in gone)
+            if left != sweep.superseded:
+                path = layout.sweep(sweep.experiment, sweep.variant)
+                write_json(path, dataclasses.replace(sweep, superseded=left).to_json())
+    return gone
+
+
+@contextlib.contextmanager
+def _recording_kept_out(layout: Layout) -> Iterator[None]:
+    with contextlib.ExitStack() as stack:
+        for experiment in layout.experiments():
+            stack.enter_context(locked(layout.sweep_lock(experiment)))
+        yield
+
+
+def _remove(folder: Path) -> bool:
+    """Remove a run's folder, unless a process owns the run. Renamed first: nobody finds half of it."""
+    lock = try_lock(folder / "lock", PATIENCE_S)
+    if lock is None:
+        return False
+    aside = folder.with_name(f".{folder.name}.removed")
+    try:
+        folder.rename(aside)
+        sync_folder(folder.parent)
+        shutil.rmtree(aside)
+    except OSError as error:
+        raise storage_error(folder, error, "remove") from error
+    finally:
+        os.close(lock)
+    return True
