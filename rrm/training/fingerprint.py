@@ -28,10 +28,7 @@ def _reward_digest(task_name: str) -> str:
     rng, steps = np.random.default_rng(0), min(_STEPS, env.horizon)
     try:
         env.reset(seed=0)
-        rewards = [
-            env.step(rng.uniform(-1, 1, env.action_space.shape).astype(np.float32))[1]
-            for _ in range(min(_STEPS, env.horizon))
-        ]
+        rewards = [env.step(rng.uniform(-1, 1, env.action_space.shape).astype(np.float32))[1] for _ in range(steps)]
     finally:
         env.close()
     text = " ".join(f"{reward:.6f}" for reward in rewards)

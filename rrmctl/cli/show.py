@@ -12,6 +12,7 @@ import typer
 from rrmctl.cli.options import DEFAULT_RESULTS, ResultsOption
 from rrmctl.cli.state import console_for_tables, note_damage, rerun_command
 from rrmctl.errors import UserError
+from rrmctl.store.schema import IDENTITY, MEASURED
 
 if TYPE_CHECKING:
     from rrmctl.store.layout import Layout, RunFolder
@@ -122,4 +123,6 @@ def _row(row: Mapping[str, Any]) -> str:
     from rrmctl.cli.live import score
 
     success = row["success"] if row["success"] == row["success"] else None  # NaN: the task has no success
-    return f"step {row['step']:>9,}  {score(success, row['true_return'])}  return {row['true_return']:,.1f}"
+    told = f"step {row['step']:>9,}  {score(success, row['true_return'])}  return {row['true_return']:,.1f}"
+    figures = (f"{name} {row[name]:.3g}" for name in row if name not in IDENTITY | MEASURED)
+    return "  ".join((told, *figures))

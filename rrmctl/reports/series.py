@@ -77,8 +77,10 @@ class Series:
     rows: pd.DataFrame = field(repr=False)  #: the evaluations of these runs, all columns of the curve
 
     def measure(self, column: str) -> tuple[Steps, Floats]:
-        """A column of the curve at the steps that all runs have: [T], and [S, T] in the order of `seeds`."""
-        return by_seed(self.rows, column)
+        """A column of the curve at the steps that all runs have: [T], and [S, T] in the order of `seeds`; NaN where
+        the runs have no such figure.
+        """
+        return by_seed(self.rows if column in self.rows else self.rows.assign(**{column: float("nan")}), column)
 
     @property
     def n(self) -> int:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import math
 import zlib
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rrmctl.store import shape
 from rrmctl.store.atomic import DamagedError
-from rrmctl.store.schema import CHECKSUM_KEY, IDENTITY, VERSION_KEY, curve_schema
+from rrmctl.store.schema import CHECKSUM_KEY, IDENTITY, MEASURED, VERSION_KEY, curve_schema
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -21,11 +22,13 @@ _TEXTS = [name for name, kind in IDENTITY.items() if kind == "string"]
 
 
 def table_of(rows: list[dict[str, Any]]) -> pa.Table:
-    """Rows, each with every column of the curve, as `decode` gives them back."""
+    """Rows, each with every column but those figures it has none of, as `decode` gives them back."""
     import pyarrow as pa
 
-    schema = curve_schema()
-    table: pa.Table = pa.Table.from_pylist(rows, schema=schema)
+    known = IDENTITY | MEASURED
+    schema = curve_schema(dict.fromkeys(name for row in rows for name in row if name not in known))
+    missing = dict.fromkeys(schema.names[len(known) :], math.nan)
+    table: pa.Table = pa.Table.from_pylist([missing | row for row in rows], schema=schema)
     return table.replace_schema_metadata({**schema.metadata, CHECKSUM_KEY: _checksum(table)})
 
 
@@ -47,11 +50,17 @@ def decode(data: bytes, path: Path) -> pa.Table:
     except (pa.ArrowException, OSError, ValueError) as error:
         raise DamagedError(f"{path} is damaged: {error}", _AGAIN) from error
     shape.check_version({"schema_version": version}, path, _AGAIN)
-    if not table.schema.equals(curve_schema()):
+    figures = [name for name in table.schema.names if name not in IDENTITY | MEASURED]
+    schema = curve_schema(figures)
+    if sorted(table.schema, key=_name) != sorted(schema, key=_name):
         raise DamagedError(f"{path} is damaged: its columns are not those of a curve", _AGAIN)
     if metadata.get(CHECKSUM_KEY) != _checksum(table):
         raise DamagedError(f"{path} is damaged: its content does not match its checksum", _AGAIN)
-    return table
+    return table.select(schema.names)
+
+
+def _name(field: pa.Field) -> str:
+    return str(field.name)
 
 
 def _checksum(table: pa.Table) -> bytes:

@@ -18,7 +18,7 @@ from rrmctl.store.curve import decode
 from rrmctl.store.frame import TEXT, WHOLE, frame, typed
 from rrmctl.store.layout import Layout, RunFolder
 from rrmctl.store.records import ErrorKind, RunError, State, Status, read_status
-from rrmctl.store.schema import LABELS, MEASURED, curve_schema
+from rrmctl.store.schema import LABELS, curve_schema
 from rrmctl.store.sweeps import JobRecord, Requiring, SweepRecord, read_sweeps
 
 if TYPE_CHECKING:
@@ -162,8 +162,8 @@ def load(results: str | Path = "results", experiment: str | None = None) -> pd.D
         experiment: only this one; default all, and runs that no sweep asked for under the experiment "".
 
     Returns:
-        Columns `experiment, variant, profile, task, method, teacher, feedback, seed, run, cell, state`, then those of
-        `rrm.types.EvalRow`: text (`rrmctl.store.frame`), `seed` and what is counted int64, what is measured
+        Columns `experiment, variant, profile, task, method, teacher, feedback, seed, run, cell, state`, those of
+        `rrm.types.EvalRow`, then whatever figures the runs have: text (`rrmctl.store.frame`), `seed` and what is counted int64, what is measured
         float64 and NaN where there is nothing. A run that two experiments or two labels share appears once for each.
 
     Raises:
@@ -295,11 +295,11 @@ def _unplanned(layout: Layout, known: set[str]) -> pd.DataFrame:
 
 
 def _curves(layout: Layout, runs: Sequence[str]) -> pd.DataFrame:
-    """`run` and the measured columns of all these runs."""
+    """`run`, the measured columns and the figures of all these runs; NaN where a run has no such figure."""
     import pyarrow as pa
 
     # Threads: parsing frees the interpreter, and on network disks the waiting counts most.
     with ThreadPoolExecutor(max_workers=8) as threads:
         tables = [table for table in threads.map(lambda run: read_curve(layout.run(run)), runs) if table is not None]
-    curves: pa.Table = pa.concat_tables([curve_schema().empty_table(), *tables])
-    return typed(curves.select(["run", *MEASURED]).to_pandas())
+    curves: pa.Table = pa.concat_tables([curve_schema().empty_table(), *tables], promote_options="permissive")
+    return typed(curves.drop_columns([name for name in IDENTITY if name != "run"]).to_pandas())

@@ -20,7 +20,6 @@ from rrmctl.export.bundle import Bundle
 from rrmctl.export.extras import require
 from rrmctl.store.atomic import write_bytes
 from rrmctl.store.inventory import Run, settings
-from rrmctl.store.schema import MEASURED
 
 if TYPE_CHECKING:
     from tensorboard.compat.proto.event_pb2 import Event
@@ -93,7 +92,7 @@ def _events(run: Run) -> Iterator[Event]:
     for row in run.curve.to_dict("records"):
         values = [
             Summary.Value(tag=tag(column), simple_value=row[column])
-            for column in MEASURED
+            for column in row
             if column != "step" and math.isfinite(row[column])
         ]
         yield Event(wall_time=start + row["wall_s"], step=row["step"], summary=Summary(value=values))

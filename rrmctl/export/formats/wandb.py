@@ -26,7 +26,6 @@ from rrmctl.errors import UserError
 from rrmctl.export.bundle import Bundle
 from rrmctl.export.extras import require
 from rrmctl.store.atomic import read_json, storage_error, write_json
-from rrmctl.store.schema import MEASURED
 
 #: In each exported run's folder: marks it as ours, and says what it holds.
 _MARK = "rrmctl.json"
@@ -79,7 +78,7 @@ def _contents(bundle: Bundle) -> Iterator[dict[str, Any]]:
 
 
 def _row(row: Mapping[Any, Any], start: float) -> dict[str, Any]:
-    measured = {name: row[name] for name in MEASURED if math.isfinite(row[name])}
+    measured = {name: value for name, value in row.items() if math.isfinite(value)}
     return measured | {"_timestamp": start + row["wall_s"]}
 
 
