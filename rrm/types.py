@@ -5,7 +5,7 @@ Axes: `B` batch, `T` time inside a segment, `N` ensemble member, `O` observation
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 if TYPE_CHECKING:
@@ -75,3 +75,9 @@ class EvalRow:
     wall_s: float  #: training time so far, interruptions left out
     steps_per_s: float  #: environment steps per second since the last row, evaluation included
     figures: dict[str, float] = field(default_factory=dict)  #: what agent and sources of rewards say of themselves
+
+    def columns(self) -> dict[str, float]:
+        """Every number by its name, those of the figures behind the others."""
+        row = asdict(self)
+        figures: dict[str, float] = row.pop("figures")
+        return row | {name: float(value) for name, value in figures.items()}

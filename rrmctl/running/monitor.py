@@ -38,11 +38,11 @@ class RunMonitor:
         if lost:
             self.note(f"{len(lost)} evaluations that {self._lease.folder.curve.name} lacks come from the checkpoint")
             with self.writing():
-                self._curve.add(*map(_values, lost))
+                self._curve.add(*(row.columns() for row in lost))
 
     def row(self, row: EvalRow) -> None:
         """Add an evaluation to the curve; it is on disk when this returns."""
-        values = _values(row)
+        values = row.columns()
         with self.writing():
             self._curve.add(values)
         shown = {name: _finite(values[name]) for name in ("success", "true_return", "wall_s")}
@@ -86,13 +86,6 @@ class RunMonitor:
         with self.writing():
             write_status(self._lease.folder, self.status)
         self._written = time.monotonic()
-
-
-def _values(row: EvalRow) -> dict[str, Any]:
-    """A row's columns."""
-    values = dataclasses.asdict(row)
-    figures: dict[str, float] = values.pop("figures")
-    return values | figures
 
 
 def _finite(value: float) -> float | None:

@@ -18,7 +18,7 @@ from rrmctl.store.curve import decode
 from rrmctl.store.frame import TEXT, WHOLE, frame, typed
 from rrmctl.store.layout import Layout, RunFolder
 from rrmctl.store.records import ErrorKind, RunError, State, Status, read_status
-from rrmctl.store.schema import LABELS, curve_schema
+from rrmctl.store.schema import IDENTITY, LABELS, curve_schema
 from rrmctl.store.sweeps import JobRecord, Requiring, SweepRecord, read_sweeps
 
 if TYPE_CHECKING:
@@ -163,8 +163,8 @@ def load(results: str | Path = "results", experiment: str | None = None) -> pd.D
 
     Returns:
         Columns `experiment, variant, profile, task, method, teacher, feedback, seed, run, cell, state`, those of
-        `rrm.types.EvalRow`, then whatever figures the runs have: text (`rrmctl.store.frame`), `seed` and what is counted int64, what is measured
-        float64 and NaN where there is nothing. A run that two experiments or two labels share appears once for each.
+        `rrm.types.EvalRow`, then whatever figures the runs have: text (`rrmctl.store.frame`), `seed` and what is
+        counted int64, what is measured float64 and NaN where there is nothing. A run that two experiments or two labels share appears once for each.
 
     Raises:
         UserError: the experiment has never been run here, or a file is damaged; the message names it.

@@ -91,7 +91,7 @@ def _events(run: Run) -> Iterator[Event]:
     yield Event(wall_time=start, step=0, summary=hyper)
     for row in run.curve.to_dict("records"):
         values = [
-            Summary.Value(tag=tag(column), simple_value=row[column])
+            Summary.Value(tag=tag(str(column)), simple_value=row[column])
             for column in row
             if column != "step" and math.isfinite(row[column])
         ]

@@ -193,7 +193,7 @@ def test_show(tmp_path: Path) -> None:
     config = json.loads(folder.config.read_text())
     curve = CurveWriter(folder, config | {"run": folder.id})
     for step in range(10, 80, 10):
-        curve.add(dataclasses.asdict(row(step, success=0.8)))
+        curve.add(row(step, success=0.8).columns())
     folder.log.write_text("".join(f"line {n}\n" for n in range(50)))
     write_status(folder, Status(state=State.FAILED, attempt=2, step=70, steps=400, error=ERROR))
     out = call("show", folder.id[:8], "--lines", "3", "--results", tmp_path).stdout
@@ -215,7 +215,7 @@ def test_show_for_programs(tmp_path: Path) -> None:
     layout, ids = finished(tmp_path)
     folder = layout.run(ids[0])
     curve = CurveWriter(folder, json.loads(folder.config.read_text()) | {"run": folder.id})
-    curve.add(dataclasses.asdict(row(30)) | {"critic_loss": float("nan"), "actor_loss": float("inf")})
+    curve.add(row(30).columns() | {"critic_loss": float("nan"), "actor_loss": float("inf")})
     folder.log.write_text("one\ntwo\n")
     told = json.loads(call("show", ids[0], "--json", "--results", tmp_path).stdout, parse_constant=pytest.fail)
     assert (told["run"], told["state"]["state"], told["config"]["method"]) == (ids[0], "done", "oracle")
@@ -248,7 +248,7 @@ def finished(root: Path) -> tuple[Layout, list[str]]:
         config = json.loads(folder.config.read_text())
         curve = CurveWriter(folder, config | {"run": run})
         for step in (10, 20):
-            curve.add(dataclasses.asdict(row(step, config["seed"])))
+            curve.add(row(step, config["seed"]).columns())
         write_status(folder, dataclasses.replace(read_status(folder), rows=2))
     return layout, ids
 

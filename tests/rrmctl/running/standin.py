@@ -66,7 +66,7 @@ def expected(seeds: range, steps: int = 40, every: int = 10) -> list[tuple[int, 
 
 def row(step: int, seed: int = 0, **changes: float) -> EvalRow:
     """The evaluation of a policy that knows its step and seed alone."""
-    values: dict[str, Any] = {name: float("nan") for name in EvalRow.__dataclass_fields__}
+    values: dict[str, Any] = {name: float("nan") for name in EvalRow.__dataclass_fields__ if name != "figures"}
     values |= {"step": step, "episodes": 10, "queries": 0, "labels": 0, "wall_s": 1.0, "steps_per_s": 100.0}
     values |= {"true_return": seed * 1000.0 + step, "success": 0.5}
     return EvalRow(**(values | changes))

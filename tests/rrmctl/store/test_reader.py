@@ -59,7 +59,7 @@ def with_rows(layout: Layout, run: str, *steps: int) -> None:
     config = json.loads(layout.run(run).config.read_text())
     curve = CurveWriter(layout.run(run), config | {"run": run})
     for step in steps:
-        curve.add(dataclasses.asdict(row(step, config["seed"])))
+        curve.add(row(step, config["seed"]).columns())
 
 
 def test_a_sweep_asked_for_twice_is_the_union(tmp_path: Path) -> None:
