@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import io
+import os
 import re
 import signal
+import sys
 from typing import Annotated, Any
 
 import typer
@@ -13,6 +16,7 @@ from typer.core import TyperGroup
 
 import rrm
 from rrm.errors import RrmError
+from rrm.process import environment
 from rrmctl.cli import demos, export, inspect, page, prior, report, run
 from rrmctl.errors import Exit, UserError
 
@@ -113,6 +117,12 @@ app.add_typer(demos.demos_app, name="demos")
 
 def main() -> None:
     """The `rrmctl` program."""
+    heeded = environment()
+    os.environ.clear()
+    os.environ.update(heeded)
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):  # whatever the locale; a name that no encoding has is spelled out
+            stream.reconfigure(encoding="utf-8", errors="backslashreplace")
     try:
         app()
     finally:  # how it ended is decided: a request to stop while Python winds up must not change the exit code

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import io
 import json
-import os
+import sys
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -67,10 +67,7 @@ def console_for(file: Any = None) -> Console:
 
     if file is not None:
         return Console(file=file, width=_WIDE, no_color=True, force_terminal=False, highlight=False)
-    console = Console(highlight=False)
-    if not console.is_terminal and "COLUMNS" not in os.environ:
-        console.width = _WIDE
-    return console
+    return Console(width=None if sys.stdout.isatty() else _WIDE, highlight=False)
 
 
 def to_text(reports: Sequence[Report], form: str) -> str:

@@ -27,6 +27,7 @@ from rrm.priors.language import guards  # noqa: F401  (translated code needs it 
 from rrm.priors.language.rollout import Doubles, Walk
 from rrm.priors.language.translate import admit
 from rrm.priors.step import PriorStep, Scene
+from rrm.process import environment
 
 SECONDS = 60  #: by the clock on the wall; of the processor likewise
 _MEMORY = 4 << 30  # bytes of address space; libraries reserve much more of it than they use
@@ -39,12 +40,12 @@ def try_out(task: Task, path: Path, walk: Walk, seconds: float = SECONDS) -> Dou
         PriorError: the code is refused, fails, or does not end in time.
     """
     command = [sys.executable, "-m", "rrm.priors.language.child", task.name, str(path.absolute())]
-    environment = {name: os.environ[name] for name in ("PATH", "PYTHONPATH") if name in os.environ}
+    variables = environment({name: os.environ[name] for name in ("PATH", "PYTHONPATH") if name in os.environ})
     with tempfile.TemporaryDirectory() as empty:
         try:
             done = subprocess.run(
                 command, input=walk.encode(), capture_output=True, timeout=seconds, check=False, cwd=empty,
-                env=environment | {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "PYTHONUTF8": "1"},
+                env=variables | {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "PYTHONUTF8": "1"},
             )  # fmt: skip
         except subprocess.TimeoutExpired:
             raise PriorError(f"{path.name}: not done after {seconds:g} s") from None
