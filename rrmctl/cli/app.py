@@ -17,7 +17,7 @@ from typer.core import TyperGroup
 import rrm
 from rrm.errors import RrmError
 from rrm.process import environment
-from rrmctl.cli import demos, export, inspect, page, prior, report, run
+from rrmctl.cli import demos, explain, export, inspect, page, prior, report, run
 from rrmctl.errors import Exit, UserError
 
 #: Conditions of the machine rather than bugs of the program.
@@ -110,6 +110,7 @@ _COMMANDS = (
 for _command in _COMMANDS:
     app.command(_command.__name__.rstrip("_"))(_command)  # list_ is the command `list`
 report.report_app.command("html")(page.html)
+report.report_app.command("explain")(explain.explain)
 app.add_typer(report.report_app, name="report")
 app.add_typer(prior.prior_app, name="prior")
 app.add_typer(demos.demos_app, name="demos")
