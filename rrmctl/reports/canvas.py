@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import io
 import re
 from contextlib import AbstractContextManager
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rrmctl.reports.settings import Width
@@ -37,7 +39,8 @@ WIDEST: dict[Width, float] = {"column": 3.3, "page": 7.0}
 
 def look(width: Width | None = None) -> AbstractContextManager[None]:
     """Inside of it matplotlib has our settings, for a figure of this width, whatever the user's are."""
-    from matplotlib.style import context
+    with contextlib.chdir(Path(__file__).parent):  # a matplotlibrc in the working directory need not even be one
+        from matplotlib.style import context
 
     size = TEXT[width] if width else None
     names = ("font.size", "axes.labelsize", "legend.fontsize")

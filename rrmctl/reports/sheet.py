@@ -105,10 +105,10 @@ def sheet(
         handles: of the legend, by label.
         notes: sentences for the foot.
     """
-    from matplotlib.figure import Figure
-    from matplotlib.lines import Line2D
-
     with look(size):
+        from matplotlib.figure import Figure
+        from matplotlib.lines import Line2D
+
         point = 1 / 72
         letters = TEXT[size]
         columns = _legend_columns(list(handles), width, letters)

@@ -56,8 +56,8 @@ def litter(tmp_path: Path) -> Path:
     folder.mkdir()
     for name in ("types", "numpy", "torch", "json", "rrm", "rrmctl", "matplotlib", "gymnasium"):
         (folder / f"{name}.py").write_text(f"open({str(folder / 'ran')!r}, 'a').write({name!r})\n")
-    for name in ("matplotlibrc", "elsewhere"):
-        (folder / name).write_text(RC)
+    (folder / "elsewhere").write_text(RC)
+    (folder / "matplotlibrc").write_bytes(RC.encode() + b"# Gr\xfc\xdfe\n")
     (folder / "my_priors.py").write_text(PRIOR)
     return folder
 
