@@ -9,6 +9,7 @@ import os
 import re
 import signal
 import sys
+from pathlib import Path
 from typing import Annotated, Any
 
 import typer
@@ -118,14 +119,21 @@ app.add_typer(demos.demos_app, name="demos")
 
 def main() -> None:
     """The `rrmctl` program."""
-    heeded = environment()
-    os.environ.clear()
-    os.environ.update(heeded)
-    for stream in (sys.stdout, sys.stderr):
-        if isinstance(stream, io.TextIOWrapper):  # whatever the locale; a name that no encoding has is spelled out
-            stream.reconfigure(encoding="utf-8", errors="backslashreplace")
+    _settle()
     try:
         app()
     finally:  # how it ended is decided: a request to stop while Python winds up must not change the exit code
         for number in (signal.SIGTERM, signal.SIGINT):
             signal.signal(number, signal.SIG_IGN)
+
+
+def _settle() -> None:
+    """Drop what of the user's environment is not heeded; output is UTF-8 whatever the locale, and may be closed."""
+    heeded = environment()
+    os.environ.clear()
+    os.environ.update(heeded)
+    for name in ("stdout", "stderr"):
+        stream = getattr(sys, name) or Path(os.devnull).open("w")  # noqa: SIM115  (for as long as the process lives)
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(encoding="utf-8", errors="backslashreplace")  # names can hold what no encoding has
+        setattr(sys, name, stream)

@@ -86,6 +86,15 @@ def test_a_table_is_the_same_in_any_environment(litter: Path):
     assert report["title"] in wanted.splitlines()
 
 
+@pytest.mark.parametrize("words", [("report", "iqm", "--replicates", "100"), ("status",)])
+def test_a_closed_output_is_no_error(litter: Path, words: tuple[str, ...]):
+    """`rrmctl ... >&-` does what it does, and says nothing."""
+    Sweep().write(litter / "results")
+    program = str(Path(sys.executable).with_name("rrmctl"))
+    done = subprocess.run(["sh", "-c", '"$0" "$@" >&-', program, *words], cwd=litter, capture_output=True, check=False)
+    assert (done.returncode, done.stderr) == (0, b"")
+
+
 def test_a_table_that_nobody_looks_at_is_wide(litter: Path):
     """Where colours are forced, as on build servers, names and numbers are not folded either."""
     curves = {f"rrm-a-prior-with-a-rather-long-name-{n}": [[0.0, 0.5, 1.0]] for n in range(2)}
