@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Literal
 
 from rrm.precision import extensions
+from rrm.process import environment
 from rrmctl.errors import UserError
 from rrmctl.machine import cpu_model, usable_cores
 from rrmctl.planning.experiments import SHIPPED, available
@@ -108,7 +109,7 @@ def package(name: str, specifier: str, *, needed: bool) -> Check:
 
 def simulators() -> Check:
     """Do the simulators and torch load? Installed is not enough: their compiled parts may miss a library."""
-    problem = _try(_SIMULATE, MUJOCO_GL="disabled")
+    problem = _try(_SIMULATE)
     if problem is None:
         return Check("simulators", "ok", "mujoco, Meta-World, DM-Control and torch load")
     return Check("simulators", "missing", problem, "reinstall: pip install --force-reinstall the package it names")
@@ -180,13 +181,13 @@ def rendering(backends: tuple[str, ...] = ("egl", "osmesa")) -> Check:
     return Check("rendering", "note", f"none ({reasons}); state-based runs need none", _MESA)
 
 
-def _try(code: str, **environment: str) -> str | None:
+def _try(code: str, **variables: str) -> str | None:
     """The last line of what a fresh Python says about `code`; None where it runs."""
-    # Importing a simulator writes PYOPENGL_PLATFORM, and a child that inherits it cannot choose another backend.
-    variables = {name: value for name, value in os.environ.items() if name != "PYOPENGL_PLATFORM"} | environment
-    command = [sys.executable, "-P", "-W", "ignore", "-c", code]
+    command = [sys.executable, "-W", "ignore", "-c", code]
     try:
-        done = subprocess.run(command, env=variables, capture_output=True, text=True, timeout=120, check=False)
+        done = subprocess.run(
+            command, env=environment() | variables, capture_output=True, text=True, timeout=120, check=False
+        )
     except subprocess.TimeoutExpired:
         return "gave no answer within two minutes"
     if done.returncode == 0:

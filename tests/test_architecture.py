@@ -35,7 +35,9 @@ KNOW_RRM = {
     "cli.prior",  # candidates of a language model become priors of the library
 }
 #: Light, and the one place for what they say: the version, tasks and how they are scored, errors, files, arithmetic.
-FACTS = {"rrm", "rrm.envs.tasks", "rrm.errors", "rrm.files", "rrm.parquet", "rrm.precision", "rrm.toml"}
+FACTS = {
+    *("rrm", "rrm.envs.tasks", "rrm.errors", "rrm.files", "rrm.parquet", "rrm.precision", "rrm.process", "rrm.toml")
+}
 
 #: Floors of `rrm`: a module imports from floors below its own, or from its own package.
 FLOORS = {
@@ -130,6 +132,12 @@ def test_few_modules_of_the_program_know_the_library() -> None:
         if module.startswith("rrmctl") and any(i.split(".")[0] == "rrm" for i in ours(module) - FACTS)
     }
     assert knowing == KNOW_RRM
+
+
+def test_python_is_started_in_one_way() -> None:
+    """Whoever starts a process gives it the environment of `rrm.process`: no file that lies around is a module."""
+    starting = {name for name in MODULES if "subprocess" in imports(name)} - {"rrmctl.running.pool"}
+    assert starting == {name for name in MODULES if "rrm.process" in imports(name)} - {"rrmctl.cli.app"}
 
 
 def test_statistics_stand_alone() -> None:

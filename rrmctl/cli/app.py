@@ -4,8 +4,12 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import io
+import os
 import re
 import signal
+import sys
+from pathlib import Path
 from typing import Annotated, Any
 
 import typer
@@ -13,7 +17,8 @@ from typer.core import TyperGroup
 
 import rrm
 from rrm.errors import RrmError
-from rrmctl.cli import clean, demos, export, inspect, page, prior, report, run, show, state
+from rrm.process import environment
+from rrmctl.cli import clean, demos, explain, export, inspect, page, prior, report, run, show, state
 from rrmctl.errors import Exit, UserError
 
 #: Conditions of the machine rather than bugs of the program.
@@ -106,6 +111,7 @@ _COMMANDS = (
 for _command in _COMMANDS:
     app.command(_command.__name__.rstrip("_"))(_command)  # list_ is the command `list`
 report.report_app.command("html")(page.html)
+report.report_app.command("explain")(explain.explain)
 app.add_typer(report.report_app, name="report")
 app.add_typer(prior.prior_app, name="prior")
 app.add_typer(demos.demos_app, name="demos")
@@ -113,8 +119,21 @@ app.add_typer(demos.demos_app, name="demos")
 
 def main() -> None:
     """The `rrmctl` program."""
+    _settle()
     try:
         app()
     finally:  # how it ended is decided: a request to stop while Python winds up must not change the exit code
         for number in (signal.SIGTERM, signal.SIGINT):
             signal.signal(number, signal.SIG_IGN)
+
+
+def _settle() -> None:
+    """Drop what of the user's environment is not heeded; output is UTF-8 whatever the locale, and may be closed."""
+    heeded = environment()
+    os.environ.clear()
+    os.environ.update(heeded)
+    for name in ("stdout", "stderr"):
+        stream = getattr(sys, name) or Path(os.devnull).open("w")  # noqa: SIM115  (for as long as the process lives)
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(encoding="utf-8", errors="backslashreplace")  # names can hold what no encoding has
+        setattr(sys, name, stream)

@@ -84,7 +84,6 @@ def add(
     from rrm.priors.language.prompt import make_prompt
     from rrmctl.planning.experiments import OWN
 
-    os.environ.setdefault("MUJOCO_GL", "disabled")  # nothing is rendered
     spec = task_of(task)
     text = make_prompt(spec, skeleton=True) if prompt_file is None else _read(prompt_file)
     origin = Origin(model=model, date=f"{date:%Y-%m-%d}", prompt=text)

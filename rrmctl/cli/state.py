@@ -74,7 +74,7 @@ def _watch(view: _View, look: Any, *, as_json: bool) -> None:
     from rich.live import Live
 
     console = console_for_tables()
-    if as_json or not console.is_terminal:
+    if as_json or not sys.stdout.isatty():
         said = None
         while True:
             told = json.dumps(view.as_json()) if as_json else view.line()
