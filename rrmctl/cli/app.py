@@ -6,6 +6,7 @@ import contextlib
 import errno
 import re
 import signal
+from pathlib import Path
 from typing import Annotated, Any
 
 import typer
@@ -30,6 +31,7 @@ class _Commands(TyperGroup):
 
     def invoke(self, ctx: Any) -> Any:  # the context is click's, or typer's copy of it, as its version has it
         try:
+            _stand_somewhere()
             return super().invoke(ctx)
         except UserError as error:
             _say(str(error), error.hint)
@@ -44,6 +46,14 @@ class _Commands(TyperGroup):
         except KeyboardInterrupt:
             raise typer.Exit(Exit.INTERRUPTED) from None
         raise typer.Exit(Exit.USAGE)
+
+
+def _stand_somewhere() -> None:
+    """Nothing can be named from a folder that was removed."""
+    try:
+        Path.cwd()
+    except FileNotFoundError:
+        raise UserError("the folder this command runs in is gone", "change into one that is there") from None
 
 
 def _say(message: str, hint: str | None) -> None:

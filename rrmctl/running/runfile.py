@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,6 +13,16 @@ from rrmctl.store.reader import read_config
 if TYPE_CHECKING:
     from rrm.training.config import RunConfig
     from rrm.training.demos import DemosConfig
+
+_BACK = (
+    "bring it back, then `rrmctl resume` goes on; or run the experiment again with the file where it is now: the same "
+    "content is the same run, a changed one makes new runs"
+)
+
+
+class MissingFileError(UserError):
+    """A file of the user's that a run was planned with is not there now: no fault of the run's."""
+
 
 #: Keys beside those of the configuration.
 _LABELS = ("id", "cell", "method", "config_version", "kind", "steps")
@@ -30,7 +41,8 @@ def load_config(folder: RunFolder) -> RunConfig | DemosConfig:
     """The run's configuration, checked against its id and against the user's files it names.
 
     Raises:
-        UserError, RrmError: the file is missing, damaged or of another version, or a file it names has changed.
+        MissingFileError: a file of the user's that it names is not there now, or is another one by now.
+        UserError, RrmError: the file is missing, damaged or of another version.
     """
     from pydantic import ValidationError
 
@@ -44,14 +56,13 @@ def load_config(folder: RunFolder) -> RunConfig | DemosConfig:
             f"this program trains version {CONFIG_VERSION}",
             "use the rrmctl that wrote it, or run the experiment into another --results folder",
         )
+    _check_files(stored)
     model = DemosConfig if stored.get("kind") == "demos" else RunConfig  # written before there were kinds: a run
     fields = {key: value for key, value in stored.items() if key not in _LABELS or key in model.model_fields}
     try:
         config = model.model_validate(fields)
     except ValidationError as error:
         raise UserError(f"{folder.config} is not a configuration: {error}", "move it away and run again") from error
-    if isinstance(config, RunConfig):
-        _check_files(config)
     if config.identity != folder.id:
         raise UserError(
             f"{folder.config} describes run {config.identity}, not {folder.id}: it was edited",
@@ -60,19 +71,20 @@ def load_config(folder: RunFolder) -> RunConfig | DemosConfig:
     return config
 
 
-def _check_files(config: RunConfig) -> None:
-    """Refuse a user's file that is no longer the one the run was planned with: it would be another run."""
-    from rrm.registry import file_digest, source_digest
+def _check_files(stored: Mapping[str, Any]) -> None:
+    """Refuse a user's file that is not the one the run was planned with: it would be another run."""
+    from rrm.errors import ConfigError
+    from rrm.registry import file_digest, is_file_reference
 
-    reward, demos = config.reward, config.imitation.demos
-    named = [(reward.prior, reward.prior_digest), (reward.learner, reward.learner_digest)]
-    found = [(name.rpartition(":")[0], source_digest(name), planned) for name, planned in named if name is not None]
-    if demos is not None:
-        found.append((demos, file_digest(Path(demos), "imitation.demos"), config.imitation.demos_digest))
-    for path, digest, planned in found:
-        if digest != planned:
-            raise UserError(
-                f"{path} has changed since this run was planned with it",
-                "run the experiment again: the changed file makes new runs; or bring the old file back, then "
-                "`rrmctl resume --retry-failed`",
-            )
+    for section, key in (("reward", "prior"), ("reward", "learner"), ("imitation", "demos")):
+        settings = stored.get(section)
+        name = settings.get(key) if isinstance(settings, dict) else None
+        if not isinstance(name, str) or (key != "demos" and not is_file_reference(name)):
+            continue
+        path = name if key == "demos" else name.rpartition(":")[0]
+        try:
+            changed = file_digest(Path(path), f"{section}.{key}") != settings.get(f"{key}_digest")
+        except ConfigError as error:
+            raise MissingFileError(str(error), _BACK) from error
+        if changed:
+            raise MissingFileError(f"{path} has changed since this run was planned with it", _BACK)

@@ -76,6 +76,8 @@ class Lease:
         self._owner = secrets.token_hex(8)
         self._count = 0
         self._released = threading.Event()
+        self._umask = os.umask(0o077)  # to be asked it has to be set
+        os.umask(self._umask)
         self._write()
 
     def _hold(self, lock: int) -> Lease:
@@ -153,6 +155,7 @@ class Lease:
             # One that is gone is not ours either: whoever took the run over has finished with it.
             if beat is None or beat.owner != self._owner:
                 raise LeaseLostError(f"{self.folder.id} belongs to another process by now")
+            os.umask(self._umask)  # code of the user's may have set another
             yield
 
     def _write(self) -> None:

@@ -44,6 +44,7 @@ class ErrorKind(StrEnum):
     HUNG = "hung"  #: gave no sign of life and was ended
     MEMORY = "memory"  #: took more memory than it may and was ended
     STORAGE = "storage"  #: the results folder took no write
+    MISSING = "missing"  #: a file of the user's is not there now
     BLOCKED = "blocked"  #: a run that it needs has failed
 
 
@@ -56,8 +57,8 @@ class RunError:
     message: str
 
     def __str__(self) -> str:
-        # A place that takes no write, or a run that failed, is named by the message; the class says no more.
-        named = self.kind in (ErrorKind.STORAGE, ErrorKind.BLOCKED)
+        # A place, a file or a run is named by the message; the class says no more.
+        named = self.kind in (ErrorKind.STORAGE, ErrorKind.MISSING, ErrorKind.BLOCKED)
         return self.message if named else f"{self.type}: {self.message}"
 
     @classmethod
