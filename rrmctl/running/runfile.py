@@ -78,7 +78,9 @@ def _check_files(stored: Mapping[str, Any]) -> None:
 
     for section, key in (("reward", "prior"), ("reward", "learner"), ("imitation", "demos")):
         settings = stored.get(section)
-        name = settings.get(key) if isinstance(settings, dict) else None
+        if not isinstance(settings, dict):
+            continue
+        name = settings.get(key)
         if not isinstance(name, str) or (key != "demos" and not is_file_reference(name)):
             continue
         path = name if key == "demos" else name.rpartition(":")[0]
