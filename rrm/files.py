@@ -1,12 +1,41 @@
-"""Writes that either happen or do not: temporary file, flush to disk, rename."""
+"""Writes that either happen or do not: temporary file, flush to disk, rename. Reads that end."""
 
 from __future__ import annotations
 
 import contextlib
+import errno
 import os
 import secrets
+import stat
 from collections.abc import Iterator
 from pathlib import Path
+from typing import BinaryIO
+
+
+class UnfitFileError(OSError):
+    """What bears a file's name is a folder, pipe, device or socket, or larger than such a file can be."""
+
+
+def open_regular(path: Path) -> BinaryIO:
+    """Open a regular file to be read. A pipe, which may have no end, is not waited for.
+
+    Raises:
+        UnfitFileError: it is something else.
+        OSError: there is none, or it cannot be read.
+    """
+    descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
+    if not stat.S_ISREG(os.fstat(descriptor).st_mode):
+        os.close(descriptor)
+        raise UnfitFileError(errno.EINVAL, "not a regular file", str(path))
+    return os.fdopen(descriptor, "rb")
+
+
+def read_bounded(path: Path, limit: int) -> bytes:
+    """The content of a regular file of at most `limit` bytes. Raises as `open_regular`, and for a larger one."""
+    with open_regular(path) as file:
+        if os.fstat(file.fileno()).st_size > limit:
+            raise UnfitFileError(errno.EINVAL, f"larger than {limit:,} bytes", str(path))
+        return file.read()
 
 
 def write_atomically(path: Path, data: bytes) -> None:

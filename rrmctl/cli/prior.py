@@ -95,7 +95,10 @@ def _show(record: Record) -> None:
 
 
 def _read(path: Path) -> str:
+    from rrm.files import read_bounded
+    from rrm.priors.language.record import LARGEST
+
     try:
-        return path.read_text(encoding="utf-8")
+        return read_bounded(path, LARGEST).decode()
     except (OSError, UnicodeDecodeError) as error:
         raise UserError(f"cannot read {path}: {error}") from error

@@ -28,7 +28,8 @@ from contextlib import AbstractContextManager
 from dataclasses import dataclass
 
 from rrm.files import replace
-from rrmctl.store.atomic import StorageError, is_open_at, storage_error, try_lock
+from rrmctl.errors import UserError
+from rrmctl.store.atomic import StorageError, is_open_at, read_json, storage_error, try_lock
 from rrmctl.store.layout import RunFolder
 from rrmctl.waking import WakingTime
 
@@ -60,9 +61,9 @@ class Beat:
 def read_beat(folder: RunFolder) -> Beat | None:
     """The last sign of life; None where there is none, or none that can be read."""
     try:
-        value = json.loads(folder.lease.read_bytes())
-        return Beat(str(value["owner"]), int(value["count"]))
-    except (OSError, ValueError, TypeError, KeyError):
+        value = read_json(folder.lease)
+        return None if value is None else Beat(str(value["owner"]), int(value["count"]))
+    except (UserError, ValueError, TypeError, KeyError):
         return None
 
 

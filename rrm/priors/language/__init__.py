@@ -14,7 +14,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rrm.errors import ConfigError, RefusedCodeError
-from rrm.priors.language.record import SUFFIX, Record, read_record
+from rrm.files import read_bounded
+from rrm.priors.language.record import LARGEST, SUFFIX, Record, read_record
 from rrm.priors.language.translate import ENTRY, Admitted, admit
 from rrm.priors.language.words import OUTCOMES, TASK_FEATURES
 
@@ -89,7 +90,7 @@ def _admitted(name: str) -> tuple[Admitted, Record]:
     if function != ENTRY:
         raise RefusedCodeError(f'prior "{name}": a language prior is called {ENTRY}, as in {location}:{ENTRY}')
     try:
-        source = path.read_bytes()
+        source = read_bounded(path, LARGEST)
     except OSError as error:
         raise ConfigError(f"cannot read {path} (named by {name!r}): {error.strerror}") from error
     return admit(source, str(path)), read_record(path)

@@ -16,10 +16,10 @@ import numpy as np
 
 from rrm.envs.tasks import Task
 from rrm.errors import ConfigError, PriorError, RrmError
-from rrm.files import make_folder, write_atomically
+from rrm.files import make_folder, read_bounded, write_atomically
 from rrm.priors.language import check_reads
 from rrm.priors.language.child import try_out
-from rrm.priors.language.record import SUFFIX, Candidate, Record, freeze, sha256
+from rrm.priors.language.record import LARGEST, SUFFIX, Candidate, Record, freeze, sha256
 from rrm.priors.language.rollout import Doubles, Walk, walk
 from rrm.priors.language.translate import admit
 
@@ -119,6 +119,6 @@ def _score(index: int, sums: dict[int, Doubles]) -> float | None:
 
 def _read(path: Path) -> bytes:
     try:
-        return path.read_bytes()
+        return read_bounded(path, LARGEST)
     except OSError as error:
         raise ConfigError(f"cannot read {path}: {error.strerror}") from error

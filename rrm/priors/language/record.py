@@ -14,8 +14,10 @@ from pathlib import Path
 from typing import Any
 
 from rrm.errors import ConfigError
+from rrm.files import read_bounded
 
 SUFFIX = ".language.py"
+LARGEST = 2**20  #: bytes of a file with code of a language model, or of a prompt
 _BEGIN, _END = "# /// language-prior", "# ///"
 
 
@@ -64,7 +66,7 @@ def read_record(path: Path) -> Record:
         ConfigError: the file cannot be read, or has no record or a damaged one.
     """
     try:
-        lines = path.read_text(encoding="utf-8").split("\n")
+        lines = read_bounded(path, LARGEST).decode().split("\n")
     except (OSError, UnicodeDecodeError) as error:
         raise ConfigError(f"cannot read {path}: {error}") from error
     if _BEGIN not in lines or _END not in lines[lines.index(_BEGIN) :]:
