@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import errno
-import re
 import signal
 from pathlib import Path
 from typing import Annotated, Any
@@ -16,14 +15,13 @@ import rrm
 from rrm.errors import RrmError
 from rrmctl.cli import demos, export, inspect, page, prior, report, run
 from rrmctl.errors import Exit, UserError
+from rrmctl.terminal import console
 
 #: Conditions of the machine rather than bugs of the program.
 _MACHINE = {errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOSPC, errno.EDQUOT}
 
 #: Names that no file can have.
 _NAMES = {errno.ENAMETOOLONG, errno.ELOOP}
-
-_CONTROL = re.compile(r"[\x00-\x09\x0b-\x1f\x7f-\x9f]")
 
 
 class _Commands(TyperGroup):
@@ -57,22 +55,14 @@ def _stand_somewhere() -> None:
 
 
 def _say(message: str, hint: str | None) -> None:
-    """Print to standard error: in colour where somebody looks at a terminal that wants it, plain text elsewhere.
-
-    Control characters of what was given are spelled out: they would be the terminal's to obey.
-    """
-    from rich.console import Console
+    """Print to standard error: in colour where somebody looks at a terminal that wants it, plain text elsewhere."""
     from rich.text import Text
 
-    console = Console(stderr=True, highlight=False, soft_wrap=True)
+    error = console(stderr=True, highlight=False, soft_wrap=True)
     with contextlib.suppress(OSError):  # the exit code still tells
-        console.print(Text.assemble(("error: ", "bold red"), _spelled(message)))
+        error.print(Text.assemble(("error: ", "bold red"), message))
         if hint:
-            console.print(Text.assemble(("hint: ", "bold cyan"), _spelled(hint)))
-
-
-def _spelled(text: str) -> str:
-    return _CONTROL.sub(lambda sign: repr(sign[0])[1:-1], text)
+            error.print(Text.assemble(("hint: ", "bold cyan"), hint))
 
 
 app = typer.Typer(

@@ -39,6 +39,7 @@ from rrmctl.cli.request import Request, forecast, job_record
 from rrmctl.cli.screen import drain, unfailing
 from rrmctl.cli.state import note_damage, show, status
 from rrmctl.errors import Exit, UserError
+from rrmctl.terminal import console
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -250,9 +251,7 @@ def _run(
 
 
 def _progress_console() -> Console:
-    from rich.console import Console
-
-    return Console(file=unfailing(sys.stderr), highlight=False, markup=False, emoji=False)
+    return console(file=unfailing(sys.stderr), highlight=False, markup=False, emoji=False)
 
 
 def _asks() -> bool:

@@ -12,6 +12,8 @@ import os
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
+from rrmctl.terminal import console
+
 if TYPE_CHECKING:
     import pandas as pd
     from rich.console import Console
@@ -63,14 +65,12 @@ def console_for(file: Any = None) -> Console:
 
     Colours follow the terminal, NO_COLOR and FORCE_COLOR; a given file gets none.
     """
-    from rich.console import Console
-
     if file is not None:
-        return Console(file=file, width=_WIDE, no_color=True, force_terminal=False, highlight=False)
-    console = Console(highlight=False)
-    if not console.is_terminal and "COLUMNS" not in os.environ:
-        console.width = _WIDE
-    return console
+        return console(file=file, width=_WIDE, no_color=True, force_terminal=False, highlight=False)
+    made = console(highlight=False)
+    if not made.is_terminal and "COLUMNS" not in os.environ:
+        made.width = _WIDE
+    return made
 
 
 def to_text(reports: Sequence[Report], form: str) -> str:

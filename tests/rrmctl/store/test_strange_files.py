@@ -10,7 +10,7 @@ from typer.testing import CliRunner
 from rrmctl.cli.app import app
 from rrmctl.store.inventory import inventory
 from rrmctl.store.layout import Layout
-from rrmctl.store.records import State, Status, write_status
+from rrmctl.store.records import ErrorKind, RunError, State, Status, write_status
 from tests.rrmctl.reports.frames import Sweep
 
 
@@ -99,3 +99,30 @@ def test_a_label_that_is_no_schedule_is_a_label(tmp_path):
     assert "now and then" in (tmp_path / "page.html").read_text()
     assert call("report", "claims", "--results", tmp_path).exit_code == 0
     assert call("plot", "main-results", "--results", tmp_path, "-o", tmp_path / "figures").exit_code == 0
+
+
+EVIL = "\x1b[2J\x1b]0;owned\x07\x9b31m\u202e"
+
+
+@pytest.mark.parametrize("terminal", [False, True])
+def test_what_a_store_says_is_text_to_the_terminal(root, terminal):
+    """Escape sequences in names, errors and logs are spelled out by every command; colours are the program's own."""
+    sweep, run = Layout(root).sweep_files("main-results")[0], inventory(root)[0].id
+    record = json.loads(sweep.read_text())
+    for job in record["jobs"]:
+        job.update(dict.fromkeys(("task", "method", "teacher", "feedback"), EVIL))
+    sweep.write_text(json.dumps(record))
+    error = RunError(kind=ErrorKind.CRASHED, type="ValueError", message=EVIL)
+    write_status(Layout(root).run(run), Status(state=State.FAILED, error=error))
+    Layout(root).run(run).log.write_text(f"{EVIL}\n")
+    environment = {"FORCE_COLOR": "1", "TERM": "xterm"} if terminal else {}
+    for command in (
+        ("status",), ("status", "main-results"), ("status", "--failed"), ("status", "--json"), ("show", run),
+        ("report", "iqm", "main-results"), ("report", "iqm", "main-results", "--format", "markdown"),
+        ("report", "iqm", "main-results", "--format", "csv"), ("resume", "--workers", "1"),
+    ):  # fmt: skip
+        result = CliRunner(env=environment).invoke(app, [*command, "--results", str(root)])
+        assert isinstance(result.exception, SystemExit | None), (command, result.exception)
+        for sign in ("\x1b[2J", "\x1b]0", "\x07", "\x9b", "\u202e"):
+            assert sign not in result.output, (command, sign)
+    assert "\\x1b[2J" in call("show", run, "--results", root).output
