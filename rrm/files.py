@@ -54,7 +54,7 @@ def replace(path: Path, data: bytes, *, durably: bool = False) -> None:
         OSError: as `write_atomically`.
     """
     # Processes of two machines or containers can have one number, and threads of one process do.
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.{secrets.token_hex(4)}.tmp")
+    temporary = path.parent / f".{path.name}.{os.getpid()}.{secrets.token_hex(4)}.tmp"
     with naming(path):
         try:
             with temporary.open("xb") as file:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import sys
 from collections.abc import Iterable, Sequence
 from functools import partial
@@ -38,6 +39,7 @@ from rrmctl.cli.progress import runs
 from rrmctl.cli.request import Request, forecast, job_record
 from rrmctl.cli.screen import drain, unfailing
 from rrmctl.cli.state import note_damage, show, status
+from rrmctl.cli.trust import remember, require_trust
 from rrmctl.errors import Exit, UserError
 from rrmctl.terminal import console
 
@@ -147,6 +149,9 @@ def resume(
     hang_after: HangOption = HANG_AFTER_MIN,
     results: ResultsOption = DEFAULT_RESULTS,
     retry_failed: RetryOption = False,
+    trust: Annotated[
+        bool, typer.Option("--trust", help="Run also code that the folder names and that you have not run from here.")
+    ] = False,
 ) -> None:
     """Go on with every sweep that was begun in the results folder and is not complete.
 
@@ -169,6 +174,7 @@ def resume(
         total = runs(len(sweep.everything))
         console.print(f"{sweep.experiment} ({sweep.variant}): {count} of {total} to go", soft_wrap=True)
     assigned = [_assignment(job, states[job.id], _threads(layout, job), fresh=False) for job in chosen]
+    require_trust(results, _code(layout, chosen), trust=trust, asks=_asks())
     slots = workers or _default_slots(job.threads for job in assigned)
     code = _run(console, layout, assigned, slots, memory, hang_after)
     drain(console.file)
@@ -189,13 +195,15 @@ def _is_open(status: Status, *, retry_failed: bool) -> bool:
 
 def _record(console: Console, layout: Layout, plan: Plan) -> SweepRecord:
     """Write down what was asked for, and return it: first every run's configuration, then the sweep that names them."""
-    from rrmctl.running.runfile import config_content
+    from rrmctl.running.runfile import code_files, config_content
     from rrmctl.store.records import record_config
     from rrmctl.store.sweeps import SweepRecord, read_sweep, record_sweep
 
     read_sweep(layout.sweep(plan.experiment, plan.variant))  # one that cannot be added to is refused first
-    for job in plan.everything:
-        note = record_config(layout.run(job.id), config_content(job.config))
+    contents = {job.id: config_content(job.config) for job in plan.everything}
+    remember(digest for content in contents.values() for digest in code_files(content).values())
+    for run, content in contents.items():
+        note = record_config(layout.run(run), content)
         if note is not None:
             console.print(f"note: {note}", markup=False, soft_wrap=True)
     asked = SweepRecord(
@@ -213,6 +221,18 @@ def _assignment(job: JobRecord, status: Status, threads: int, *, fresh: bool) ->
         id=job.id, label=job.label, steps=job.steps, threads=threads, attempt=status.attempt, fresh=fresh,
         requires=job.requires,
     )  # fmt: skip
+
+
+def _code(layout: Layout, jobs: Iterable[JobRecord]) -> dict[str, str]:
+    """Digests of the code of users that these runs name, by path."""
+    from rrmctl.running.runfile import code_files
+    from rrmctl.store.reader import read_config
+
+    found: dict[str, str] = {}
+    for job in jobs:
+        with contextlib.suppress(UserError):  # its worker refuses it
+            found |= code_files(read_config(layout.run(job.id)))
+    return found
 
 
 def _threads(layout: Layout, job: JobRecord) -> int:

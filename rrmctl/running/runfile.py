@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -71,21 +71,38 @@ def load_config(folder: RunFolder) -> RunConfig | DemosConfig:
     return config
 
 
+def code_files(stored: Mapping[str, Any]) -> dict[str, str]:
+    """The digests of the files with code that a run of this configuration would run, by path.
+
+    Frozen language priors are none of them: such code can do nothing but compute.
+    """
+    named = {path: str(digest) for key, path, digest in _user_files(stored) if key != "demos"}
+    if not named:
+        return named
+    from rrm.priors.language.record import SUFFIX
+
+    return {path: digest for path, digest in named.items() if not path.endswith(SUFFIX)}
+
+
+def _user_files(stored: Mapping[str, Any]) -> Iterator[tuple[str, str, Any]]:
+    """Setting, path and planned digest of each file of the user's that a configuration names."""
+    from rrm.registry import is_file_reference
+
+    for section, key in (("reward", "prior"), ("reward", "learner"), ("imitation", "demos")):
+        settings = stored.get(section) or {}
+        name = settings.get(key) if isinstance(settings, dict) else None
+        if isinstance(name, str) and (key == "demos" or is_file_reference(name)):
+            yield key, name if key == "demos" else name.rpartition(":")[0], settings.get(f"{key}_digest")
+
+
 def _check_files(stored: Mapping[str, Any]) -> None:
     """Refuse a user's file that is not the one the run was planned with: it would be another run."""
     from rrm.errors import ConfigError
-    from rrm.registry import file_digest, is_file_reference
+    from rrm.registry import file_digest
 
-    for section, key in (("reward", "prior"), ("reward", "learner"), ("imitation", "demos")):
-        settings = stored.get(section)
-        if not isinstance(settings, dict):
-            continue
-        name = settings.get(key)
-        if not isinstance(name, str) or (key != "demos" and not is_file_reference(name)):
-            continue
-        path = name if key == "demos" else name.rpartition(":")[0]
+    for key, path, planned in _user_files(stored):
         try:
-            changed = file_digest(Path(path), f"{section}.{key}") != settings.get(f"{key}_digest")
+            changed = file_digest(Path(path), key) != planned
         except ConfigError as error:
             raise MissingFileError(str(error), _BACK) from error
         if changed:
