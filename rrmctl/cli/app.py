@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import itertools
 import signal
 from pathlib import Path
 from typing import Annotated, Any
@@ -24,8 +25,19 @@ _MACHINE = {errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOSPC, errno.EDQUOT}
 _NAMES = {errno.ENAMETOOLONG, errno.ELOOP}
 
 
+#: Options that name a file or folder to be written to, or read.
+_PLACES = {"--results", "--experiments", "-o", "--output", "--into", "--prompt"}
+
+
 class _Commands(TyperGroup):
     """The group of all commands; what goes wrong for a reason the user can act on is said in one message."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        for option, value in itertools.pairwise(part for word in args for part in word.split("=", 1)):
+            if option in _PLACES and value == "":  # as a path it would be the folder here
+                _say(f"{option} is empty", "is a variable unset? . is the folder here")
+                raise typer.Exit(Exit.USAGE)
+        return super().parse_args(ctx, args)
 
     def invoke(self, ctx: Any) -> Any:  # the context is click's, or typer's copy of it, as its version has it
         try:

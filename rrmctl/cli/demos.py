@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from rrmctl.cli.options import DEFAULT_RESULTS, ResultsOption, place
+from rrmctl.cli.options import DEFAULT_RESULTS, ResultsOption
 from rrmctl.errors import UserError
 
 demos_app = typer.Typer(no_args_is_help=True, help="Collect demonstrations, or look at a file of them.")
@@ -16,7 +16,7 @@ demos_app = typer.Typer(no_args_is_help=True, help="Collect demonstrations, or l
 
 @demos_app.command()
 def collect(
-    out: Annotated[Path, typer.Argument(parser=place, metavar="FILE", help="Where to write them; *.safetensors.")],
+    out: Annotated[Path, typer.Argument(metavar="FILE", help="Where to write them; *.safetensors.")],
     run: Annotated[
         str | None, typer.Option("--run", metavar="RUN", help="A finished run, by the first digits of its id.")
     ] = None,
@@ -59,7 +59,7 @@ def collect(
 
 
 @demos_app.command()
-def show(file: Annotated[Path, typer.Argument(parser=place, metavar="FILE", help="A file of demonstrations.")]) -> None:
+def show(file: Annotated[Path, typer.Argument(metavar="FILE", help="A file of demonstrations.")]) -> None:
     """Show where demonstrations come from, how many there are and how good they are, as JSON."""
     from rrmctl.running import demos
 

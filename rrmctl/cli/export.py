@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from rrmctl.cli.options import DEFAULT_RESULTS, ResultsOption, place
+from rrmctl.cli.options import DEFAULT_RESULTS, ResultsOption
 from rrmctl.errors import UserError
 from rrmctl.export.formats import formats
 
@@ -22,10 +22,7 @@ def export(
     name: Annotated[str, typer.Argument(metavar="NAME", help="An experiment of the store.")],
     to: Annotated[str, typer.Option("--to", metavar="FORMAT", help=_told())],
     output: Annotated[
-        Path,
-        typer.Option(
-            "-o", "--output", parser=place, metavar="DIR", help="Folder for the files; made where it is missing."
-        ),
+        Path, typer.Option("-o", "--output", metavar="DIR", help="Folder for the files; made where it is missing.")
     ],
     results: ResultsOption = DEFAULT_RESULTS,
     profile: Annotated[str | None, typer.Option("--profile", help="Only runs at this scale. Default: all.")] = None,

@@ -12,13 +12,6 @@ DEFAULT_RESULTS = Path("results")
 DEFAULT_EXPERIMENTS = Path("experiments")
 
 
-def place(named: str | Path) -> Path:
-    """A file or folder as an option names it. An empty name, as of a variable that is unset, would be the one here."""
-    if named == "":
-        raise typer.BadParameter("it is empty; . is the folder here")
-    return Path(named)
-
-
 def complete_experiment(incomplete: str) -> list[str]:
     """For the shell: experiments whose name starts with what was typed."""
     folder = Path(os.environ.get("RRMCTL_EXPERIMENTS", DEFAULT_EXPERIMENTS))
@@ -48,13 +41,11 @@ ExperimentArgument = Annotated[
     ),
 ]
 ResultsOption = Annotated[
-    Path, typer.Option("--results", parser=place, metavar="DIR", envvar="RRMCTL_RESULTS", help="Where runs are kept.")
+    Path, typer.Option("--results", metavar="DIR", envvar="RRMCTL_RESULTS", help="Where runs are kept.")
 ]
 ExperimentsOption = Annotated[
     Path,
-    typer.Option(
-        "--experiments", parser=place, metavar="DIR", envvar="RRMCTL_EXPERIMENTS", help="Where the manifests are."
-    ),
+    typer.Option("--experiments", metavar="DIR", envvar="RRMCTL_EXPERIMENTS", help="Where the manifests are."),
 ]
 ProfileOption = Annotated[
     str | None,

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from rrmctl.cli.options import DEFAULT_RESULTS, ResultsOption, place
+from rrmctl.cli.options import DEFAULT_RESULTS, ResultsOption
 from rrmctl.cli.report import Iqm, IqmOption, MixedOption, ProfileOption, ReplicatesOption
 from rrmctl.errors import UserError
 
@@ -19,10 +19,7 @@ def html(
         typer.Argument(metavar="[NAME]...", help="Experiments of the store. Default: all."),
     ] = None,
     output: Annotated[
-        Path,
-        typer.Option(
-            "-o", "--output", parser=place, metavar="FILE", help="The page; its folder is made where it is missing."
-        ),
+        Path, typer.Option("-o", "--output", metavar="FILE", help="The page; its folder is made where it is missing.")
     ] = Path("report.html"),
     results: ResultsOption = DEFAULT_RESULTS,
     kind: IqmOption = Iqm.RLIABLE,

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from rrmctl.cli.options import DEFAULT_EXPERIMENTS, ExperimentsOption, place
+from rrmctl.cli.options import DEFAULT_EXPERIMENTS, ExperimentsOption
 from rrmctl.errors import UserError
 
 if TYPE_CHECKING:
@@ -47,22 +47,17 @@ def prompt(
 def add(
     task: TaskArgument,
     files: Annotated[
-        list[Path],
-        typer.Argument(parser=place, metavar="FILE...", help="Candidates, each with a function reward(step)."),
+        list[Path], typer.Argument(metavar="FILE...", help="Candidates, each with a function reward(step).")
     ],
     model: Annotated[str, typer.Option("--model", help="Which model wrote them.")],
     date: Annotated[datetime, typer.Option("--date", formats=["%Y-%m-%d"], help="When it did.")],
     prompt_file: Annotated[
         Path | None,
-        typer.Option(
-            "--prompt", parser=place, metavar="FILE", help="The prompt that was sent. Default: that with the skeleton."
-        ),
+        typer.Option("--prompt", metavar="FILE", help="The prompt that was sent. Default: that with the skeleton."),
     ] = None,
     into: Annotated[
         Path | None,
-        typer.Option(
-            "--into", parser=place, metavar="DIR", help="Where to freeze it. Default: priors, beside the experiments."
-        ),
+        typer.Option("--into", metavar="DIR", help="Where to freeze it. Default: priors, beside the experiments."),
     ] = None,
     experiments: ExperimentsOption = DEFAULT_EXPERIMENTS,
 ) -> None:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from rrmctl.cli.options import DEFAULT_RESULTS, ResultsOption, place
+from rrmctl.cli.options import DEFAULT_RESULTS, ResultsOption
 from rrmctl.cli.screen import tell
 from rrmctl.errors import UserError
 from rrmctl.reports.figures import figures
@@ -102,10 +102,7 @@ def _table(entry: Entry) -> Callable[..., None]:
             Format, typer.Option("--format", help="csv and json carry raw values: success as a fraction.")
         ] = Format.TERMINAL,
         output: Annotated[
-            Path | None,
-            typer.Option(
-                "-o", "--output", parser=place, metavar="FILE", help="Write to a file instead of the terminal."
-            ),
+            Path | None, typer.Option("-o", "--output", metavar="FILE", help="Write to a file instead of the terminal.")
         ] = None,
         kind: IqmOption = Iqm.RLIABLE,
         profile: ProfileOption = None,
@@ -156,13 +153,7 @@ def plot(
     results: ResultsOption = DEFAULT_RESULTS,
     output: Annotated[
         Path | None,
-        typer.Option(
-            "-o",
-            "--output",
-            parser=place,
-            metavar="DIR",
-            help="Folder for the figures. Default: figures/ in the results.",
-        ),
+        typer.Option("-o", "--output", metavar="DIR", help="Folder for the figures. Default: figures/ in the results."),
     ] = None,
     wanted: Annotated[
         list[str] | None,

@@ -3,10 +3,11 @@
 import os
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
-from rrm.files import make_folder, write_atomically
+from rrm.files import UnfitFileError, make_folder, read_bounded, write_atomically
 
 
 def test_a_file_is_replaced_as_a_whole(tmp_path):
@@ -65,3 +66,26 @@ def test_every_new_folder_is_flushed_into_the_one_above(tmp_path, monkeypatch):
     (tmp_path / "file").touch()
     with pytest.raises(FileExistsError):
         make_folder(tmp_path / "file" / "r")
+
+
+def test_a_read_ends(tmp_path):
+    """A regular file within the limit is read; a pipe is not waited for, a device has no end, a folder is no file."""
+    path = tmp_path / "a"
+    path.write_bytes(b"12345")
+    assert read_bounded(path, 5) == b"12345"
+    with pytest.raises(UnfitFileError, match="larger than 4 bytes"):
+        read_bounded(path, 4)
+    os.mkfifo(tmp_path / "pipe")
+    for name in (tmp_path / "pipe", tmp_path, Path("/dev/zero")):
+        with pytest.raises(UnfitFileError, match="not a regular file"):
+            read_bounded(name, 100)
+    with pytest.raises(FileNotFoundError):
+        read_bounded(tmp_path / "none", 100)
+
+
+def test_a_name_that_is_a_folder_takes_no_write(tmp_path, monkeypatch):
+    """Also `.`, which has no name of its own: an error of the system, and nothing is left behind."""
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(OSError, match=r"'\.'"):
+        write_atomically(Path(), b"data")
+    assert list(tmp_path.iterdir()) == []
