@@ -116,7 +116,7 @@ def log_tail(folder: RunFolder, lines: int = 15) -> list[str]:
     try:
         with open_regular(folder.log) as file:
             file.seek(max(0, file.seek(0, os.SEEK_END) - 400 * lines))
-            return file.read(2**20).decode(errors="replace").splitlines()[-lines:]
+            return file.read().decode(errors="replace").splitlines()[-lines:]
     except (FileNotFoundError, NotADirectoryError):
         return []
     except OSError as error:
