@@ -5,8 +5,8 @@ from __future__ import annotations
 import contextlib
 import errno
 import io
+import itertools
 import os
-import re
 import signal
 import sys
 from pathlib import Path
@@ -20,6 +20,7 @@ from rrm.errors import RrmError
 from rrm.process import environment
 from rrmctl.cli import clean, demos, explain, export, inspect, page, prior, report, run, show, state
 from rrmctl.errors import Exit, UserError
+from rrmctl.terminal import console
 
 #: Conditions of the machine rather than bugs of the program.
 _MACHINE = {errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOSPC, errno.EDQUOT}
@@ -27,14 +28,24 @@ _MACHINE = {errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOSPC, errno.EDQUOT}
 #: Names that no file can have.
 _NAMES = {errno.ENAMETOOLONG, errno.ELOOP}
 
-_CONTROL = re.compile(r"[\x00-\x09\x0b-\x1f\x7f-\x9f]")
+
+#: Options that name a file or folder to be written to, or read.
+_PLACES = {"--results", "--experiments", "-o", "--output", "--into", "--prompt"}
 
 
 class _Commands(TyperGroup):
     """The group of all commands; what goes wrong for a reason the user can act on is said in one message."""
 
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        for option, value in itertools.pairwise(part for word in args for part in word.split("=", 1)):
+            if option in _PLACES and value == "":  # as a path it would be the folder here
+                _say(f"{option} is empty", "is a variable unset? . is the folder here")
+                raise typer.Exit(Exit.USAGE)
+        return super().parse_args(ctx, args)
+
     def invoke(self, ctx: Any) -> Any:  # the context is click's, or typer's copy of it, as its version has it
         try:
+            _stand_somewhere()
             return super().invoke(ctx)
         except UserError as error:
             _say(str(error), error.hint)
@@ -51,23 +62,23 @@ class _Commands(TyperGroup):
         raise typer.Exit(Exit.USAGE)
 
 
-def _say(message: str, hint: str | None) -> None:
-    """Print to standard error: in colour where somebody looks at a terminal that wants it, plain text elsewhere.
+def _stand_somewhere() -> None:
+    """Nothing can be named from a folder that was removed."""
+    try:
+        Path.cwd()
+    except FileNotFoundError:
+        raise UserError("the folder this command runs in is gone", "change into one that is there") from None
 
-    Control characters of what was given are spelled out: they would be the terminal's to obey.
-    """
-    from rich.console import Console
+
+def _say(message: str, hint: str | None) -> None:
+    """Print to standard error: in colour where somebody looks at a terminal that wants it, plain text elsewhere."""
     from rich.text import Text
 
-    console = Console(stderr=True, highlight=False, soft_wrap=True)
+    error = console(stderr=True, highlight=False, soft_wrap=True)
     with contextlib.suppress(OSError):  # the exit code still tells
-        console.print(Text.assemble(("error: ", "bold red"), _spelled(message)))
+        error.print(Text.assemble(("error: ", "bold red"), message))
         if hint:
-            console.print(Text.assemble(("hint: ", "bold cyan"), _spelled(hint)))
-
-
-def _spelled(text: str) -> str:
-    return _CONTROL.sub(lambda sign: repr(sign[0])[1:-1], text)
+            error.print(Text.assemble(("hint: ", "bold cyan"), hint))
 
 
 app = typer.Typer(

@@ -103,6 +103,7 @@ def _show(record: Record) -> None:
 
 
 def _read(path: Path) -> str:
+
     try:
         return read_bounded(path, _LARGEST_PROMPT).decode()
     except OSError as error:

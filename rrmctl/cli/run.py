@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import sys
 from collections.abc import Iterable, Sequence
 from functools import partial
@@ -37,7 +38,9 @@ from rrmctl.cli.progress import runs
 from rrmctl.cli.request import Request, forecast, job_record
 from rrmctl.cli.screen import drain, unfailing
 from rrmctl.cli.state import note_damage
+from rrmctl.cli.trust import remember, require_trust
 from rrmctl.errors import Exit, UserError
+from rrmctl.terminal import console
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -143,6 +146,9 @@ def resume(
     hang_after: HangOption = HANG_AFTER_MIN,
     results: ResultsOption = DEFAULT_RESULTS,
     retry_failed: RetryOption = False,
+    trust: Annotated[
+        bool, typer.Option("--trust", help="Run also code that the folder names and that you have not run from here.")
+    ] = False,
 ) -> None:
     """Go on with every sweep that was begun in the results folder and is not complete.
 
@@ -165,6 +171,7 @@ def resume(
         total = runs(len(sweep.everything))
         console.print(f"{sweep.experiment} ({sweep.variant}): {count} of {total} to go", soft_wrap=True)
     assigned = [_assignment(job, states[job.id], _threads(layout, job), fresh=False) for job in chosen]
+    require_trust(results, _code(layout, chosen), trust=trust, asks=_asks())
     slots = workers or _default_slots(job.threads for job in assigned)
     code = _run(console, layout, assigned, slots, memory, hang_after)
     drain(console.file)
@@ -207,10 +214,12 @@ def _record(console: Console, layout: Layout, plan: Plan) -> SweepRecord:
 
 
 def _configure(layout: Layout, jobs: Iterable[Job]) -> list[str | None]:
-    from rrmctl.running.runfile import config_content
+    from rrmctl.running.runfile import code_files, config_content
     from rrmctl.store.records import record_config
 
-    return [record_config(layout.run(job.id), config_content(job.config)) for job in jobs]
+    contents = {job.id: config_content(job.config) for job in jobs}
+    remember(digest for content in contents.values() for digest in code_files(content).values())
+    return [record_config(layout.run(run), content) for run, content in contents.items()]
 
 
 def _assignment(job: JobRecord, status: Status, threads: int, *, fresh: bool) -> Assignment:
@@ -220,6 +229,18 @@ def _assignment(job: JobRecord, status: Status, threads: int, *, fresh: bool) ->
         id=job.id, label=job.label, steps=job.steps, threads=threads, attempt=status.attempt, fresh=fresh,
         requires=job.requires,
     )  # fmt: skip
+
+
+def _code(layout: Layout, jobs: Iterable[JobRecord]) -> dict[str, str]:
+    """Digests of the code of users that these runs name, by path."""
+    from rrmctl.running.runfile import code_files
+    from rrmctl.store.reader import read_config
+
+    found: dict[str, str] = {}
+    for job in jobs:
+        with contextlib.suppress(UserError):  # its worker refuses it
+            found |= code_files(read_config(layout.run(job.id)))
+    return found
 
 
 def _threads(layout: Layout, job: JobRecord) -> int:
@@ -258,9 +279,7 @@ def _run(
 
 
 def _progress_console() -> Console:
-    from rich.console import Console
-
-    return Console(file=unfailing(sys.stderr), highlight=False, markup=False, emoji=False)
+    return console(file=unfailing(sys.stderr), highlight=False, markup=False, emoji=False)
 
 
 def _asks() -> bool:

@@ -17,6 +17,8 @@ from typing import TextIO
 
 import typer
 
+from rrmctl.terminal import spelled
+
 #: Pieces of text that wait to be written; further ones are dropped.
 _WAITING = 10_000
 #: How long what waits may take to be written at the end, seconds.
@@ -85,7 +87,7 @@ def drain(stream: object) -> None:
 def tell(text: str, *, err: bool = False) -> None:
     """A line on standard output, or error, which is given up where it takes none."""
     try:
-        typer.echo(text, err=err)
+        typer.echo(spelled(text), err=err)
     except OSError:
         with contextlib.suppress(OSError, ValueError):
             os.dup2(os.open(os.devnull, os.O_WRONLY), (sys.stderr if err else sys.stdout).fileno())

@@ -12,8 +12,10 @@ import typer
 
 from rrmctl.cli.options import DEFAULT_RESULTS, ResultsOption
 from rrmctl.cli.progress import STATES, Group, errors, group_by_row, group_by_sweep, runs
+from rrmctl.cli.screen import tell
 from rrmctl.commands import run_command
 from rrmctl.errors import UserError
+from rrmctl.terminal import console
 
 if TYPE_CHECKING:
     from rich.console import Console, RenderableType
@@ -79,7 +81,7 @@ def _watch(view: _View, look: Any, *, as_json: bool) -> None:
         while True:
             told = json.dumps(view.as_json()) if as_json else view.line()
             if told != said:
-                typer.echo(told)
+                tell(told)
                 said = told
             if not view.has_work:
                 return
@@ -187,7 +189,7 @@ class _View:
 def note_damage(damage: Iterable[UserError]) -> None:
     """One line on standard error for each file that a command can go on without."""
     for error in damage:
-        typer.echo(f"note: {error}; {error.hint}", err=True)
+        tell(f"note: {error}; {error.hint}", err=True)
 
 
 def rerun_command(layout: Layout, sweep: SweepRecord, job: Any) -> str:
@@ -200,8 +202,6 @@ def rerun_command(layout: Layout, sweep: SweepRecord, job: Any) -> str:
 
 def console_for_tables() -> Console:
     """Standard output, for what is a table or may be long."""
-    from rich.console import Console
-
     # Wide where nobody looks: what another program reads should not be folded.
     width = None if sys.stdout.isatty() else 200
-    return Console(width=width, highlight=False, markup=False, emoji=False)
+    return console(width=width, highlight=False, markup=False, emoji=False)

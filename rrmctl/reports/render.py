@@ -13,6 +13,8 @@ import sys
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
+from rrmctl.terminal import console
+
 if TYPE_CHECKING:
     import pandas as pd
     from rich.console import Console
@@ -66,11 +68,9 @@ def console_for(file: Any = None) -> Console:
 
     Colours follow the terminal, NO_COLOR and FORCE_COLOR; a given file gets none.
     """
-    from rich.console import Console
-
     if file is not None:
-        return Console(file=file, width=_WIDE, no_color=True, force_terminal=False, highlight=False)
-    return Console(width=None if sys.stdout.isatty() else _WIDE, highlight=False)
+        return console(file=file, width=_WIDE, no_color=True, force_terminal=False, highlight=False)
+    return console(width=None if sys.stdout.isatty() else _WIDE, highlight=False)
 
 
 def to_text(reports: Sequence[Report], form: str) -> str:

@@ -32,6 +32,7 @@ _THREAD_VARIABLES = (
 _UNHEARD: dict[int, tuple[ErrorKind, str]] = {
     WorkerExit.STORAGE: (ErrorKind.STORAGE, "the results folder took no write"),
     WorkerExit.REFUSED: (ErrorKind.REFUSED, "it cannot be run"),
+    WorkerExit.MISSING: (ErrorKind.MISSING, "a file that it was planned with is not there"),
 }
 
 
@@ -75,7 +76,9 @@ class Child:
         self._memory_kills = _killed_for_memory()
         reading, writing = os.pipe()
         try:
-            self._process = _start(layout, job, [*command, str(layout.root), job, *options], writing, threads)
+            # Absolute: code of the user's may change the folder.
+            order = [*command, str(layout.root.absolute()), job, *options]
+            self._process = _start(layout, job, order, writing, threads)
         except BaseException:
             os.close(reading)
             raise

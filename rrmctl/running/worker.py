@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING, Protocol, TypeVar
 from rrmctl.errors import UserError
 from rrmctl.running.lifeline import Leave, Pipe, StopRequest, say
 from rrmctl.running.monitor import RunMonitor
-from rrmctl.running.runfile import load_config
+from rrmctl.running.runfile import MissingFileError, load_config
 from rrmctl.store import atomic, provenance
 from rrmctl.store.layout import Layout, RunFolder
 from rrmctl.store.lease import Beat, Lease, LeaseLostError
@@ -47,6 +47,7 @@ class WorkerExit(IntEnum):
     DONE = 0
     CRASHED = 1  #: an exception nobody foresaw; its traceback is in the log
     REFUSED = 2  #: a mistake in what it was given; trying again would not help
+    MISSING = 66  #: a file of the user's is not there now
     STORAGE = 74  #: the results folder took no write
     STOPPED = 75  #: checkpointed; the next worker goes on
     LOCKED = 76  #: another process owns the run
@@ -251,6 +252,8 @@ def _reason(folder: RunFolder, error: Exception) -> tuple[WorkerExit, RunError]:
     if isinstance(error, atomic.StorageError):
         message = f"{error} ({error.todo}, then `rrmctl resume` goes on)"
         return WorkerExit.STORAGE, RunError(kind=ErrorKind.STORAGE, type=name, message=message)
+    if isinstance(error, MissingFileError):
+        return WorkerExit.MISSING, RunError(kind=ErrorKind.MISSING, type=name, message=_told(error))
     if isinstance(error, UserError | RrmError):
         others = isinstance(error, atomic.DamagedError | MissingResultError)
         kind = ErrorKind.DAMAGED if others else ErrorKind.REFUSED

@@ -17,6 +17,8 @@ _AGAIN = "bring back a copy, or train the run again with --force"
 #: Settings that read quickest at a few hundred rows; thousands of such files are read at a time.
 SETTINGS = {"compression": "snappy", "use_dictionary": False, "write_statistics": False, "write_page_checksum": True}
 
+LARGEST = 2**30  # bytes of a file; a row has some hundred
+
 _TEXTS = [name for name, kind in IDENTITY.items() if kind == "string"]
 
 
@@ -44,12 +46,13 @@ def decode(data: bytes, path: Path) -> pa.Table:
         metadata = file.schema_arrow.metadata or {}
         version = int(metadata.get(VERSION_KEY, b"none"))
         table: pa.Table = file.read(use_threads=False)  # callers read many files at a time
-    except (pa.ArrowException, OSError, ValueError) as error:
+        found = _checksum(table)
+    except (pa.ArrowException, OSError, ValueError, TypeError) as error:  # TypeError: a text that is missing
         raise DamagedError(f"{path} is damaged: {error}", _AGAIN) from error
     shape.check_version({"schema_version": version}, path, _AGAIN)
     if not table.schema.equals(curve_schema()):
         raise DamagedError(f"{path} is damaged: its columns are not those of a curve", _AGAIN)
-    if metadata.get(CHECKSUM_KEY) != _checksum(table):
+    if metadata.get(CHECKSUM_KEY) != found:
         raise DamagedError(f"{path} is damaged: its content does not match its checksum", _AGAIN)
     return table
 

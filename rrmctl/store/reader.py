@@ -10,11 +10,11 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from rrm.files import place
+from rrm.files import open_regular, place, read_bounded
 from rrmctl.errors import UserError
 from rrmctl.store import shape
 from rrmctl.store.atomic import DamagedError, StorageError, is_locked, read_json, unreadable
-from rrmctl.store.curve import decode
+from rrmctl.store.curve import LARGEST, decode
 from rrmctl.store.frame import TEXT, WHOLE, frame, typed
 from rrmctl.store.layout import Layout, RunFolder
 from rrmctl.store.records import ErrorKind, RunError, State, Status, read_status
@@ -36,11 +36,11 @@ def run_status(folder: RunFolder) -> Status:
     """
     try:
         status = read_status(folder)
+        if status.state is State.RUNNING and not is_locked(folder.lock):
+            return dataclasses.replace(status, state=State.INTERRUPTED)
     except (DamagedError, StorageError) as error:
         problem = RunError(kind=ErrorKind.STORAGE, type=type(error).__name__, message=str(error))
         return Status(state=State.UNREADABLE, error=problem)
-    if status.state is State.RUNNING and not is_locked(folder.lock):
-        return dataclasses.replace(status, state=State.INTERRUPTED)
     return status
 
 
@@ -105,13 +105,15 @@ _CONFIG = dict.fromkeys(("id", "cell", "profile", "task", "method", "precision")
 
 
 def log_tail(folder: RunFolder, lines: int = 15) -> list[str]:
-    """The last lines of a run's log; none where it has not started."""
+    """The last lines of a run's log; none where it has not started, and why where it cannot be read."""
     try:
-        with folder.log.open("rb") as file:
+        with open_regular(folder.log) as file:
             file.seek(max(0, file.seek(0, os.SEEK_END) - 400 * lines))
             return file.read().decode(errors="replace").splitlines()[-lines:]
-    except FileNotFoundError:
+    except (FileNotFoundError, NotADirectoryError):
         return []
+    except OSError as error:
+        return [f"{folder.log} cannot be read: {error.strerror}"]
 
 
 def read_curve(folder: RunFolder) -> pa.Table | None:
@@ -125,7 +127,7 @@ def read_curve(folder: RunFolder) -> pa.Table | None:
     path = folder.curve
     try:
         # In one read: the file may be replaced by its successor at any moment, and this one stays what it was.
-        data = path.read_bytes()
+        data = read_bounded(path, LARGEST)
     except (FileNotFoundError, NotADirectoryError):
         return None
     except OSError as error:

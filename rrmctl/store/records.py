@@ -45,6 +45,7 @@ class ErrorKind(StrEnum):
     MEMORY = "memory"  #: took more memory than it may and was ended
     STORAGE = "storage"  #: the results folder took no write
     DAMAGED = "damaged"  #: a file that others make for it is damaged or gone; once that is made again, it goes on
+    MISSING = "missing"  #: a file of the user's is not there now
     BLOCKED = "blocked"  #: a run that it needs has failed
 
 
@@ -57,8 +58,8 @@ class RunError:
     message: str
 
     def __str__(self) -> str:
-        # A place that takes no write, or a run that failed, is named by the message; the class says no more.
-        named = self.kind in (ErrorKind.STORAGE, ErrorKind.BLOCKED)
+        # A place, a file or a run is named by the message; the class says no more.
+        named = self.kind in (ErrorKind.STORAGE, ErrorKind.MISSING, ErrorKind.BLOCKED)
         return self.message if named else f"{self.type}: {self.message}"
 
     @classmethod

@@ -91,7 +91,7 @@ def sweeps(section: Section) -> list[Sweep]:
     asked: dict[tuple[str, str], dict[tuple[str, Schedule], Series]] = {}
     for series in _read(section)[0]:
         schedule = Schedule.of(series.label.feedback)
-        if not schedule.name:
+        if schedule and not schedule.name:
             asked.setdefault((series.label.task, series.label.teacher), {})[series.label.method, schedule] = series
     return [sweep for (task, teacher), series in asked.items() for sweep in _of_task(task, teacher, series)]
 

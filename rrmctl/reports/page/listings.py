@@ -34,7 +34,6 @@ def clock(seconds: float) -> str:
 
 def parts(name: str, runs: Sequence[Run], needed: Sequence[Run]) -> Iterator[tuple[str, str, Html]]:
     """Id, title and content of each list; empty ones are left out by who takes them."""
-    yield f"{name}-failures", "Failures", _failures([*runs, *needed])
     yield f"{name}-spent", "Steps, feedback and time", _spent(runs, needed)
     yield f"{name}-runs", "Runs", _inventory(runs, needed)
     yield f"{name}-settings", "Settings", _settings(runs)
@@ -42,7 +41,7 @@ def parts(name: str, runs: Sequence[Run], needed: Sequence[Run]) -> Iterator[tup
     yield f"{name}-again", "How to reproduce it", _commands(runs)
 
 
-def _failures(runs: Sequence[Run]) -> Html:
+def failures(runs: Sequence[Run]) -> Html:
     """Reasons, the most frequent first, with the runs they stopped."""
     found: dict[str, list[Run]] = {}
     for run in {run.id: run for run in runs}.values():

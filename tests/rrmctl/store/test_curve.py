@@ -134,5 +134,5 @@ def test_a_curve_that_cannot_be_read_now_is_not_damaged(tmp_path: Path) -> None:
     """Nothing is known of it: nobody may set it aside and train it again."""
     folder = Layout(tmp_path).run("0123456789abcdef")
     folder.curve.mkdir(parents=True)
-    with pytest.raises(StorageError, match=r"curve\.parquet cannot be read now: Is a directory"):
+    with pytest.raises(StorageError, match=r"curve\.parquet cannot be read now: not a regular file"):
         writer(tmp_path)
