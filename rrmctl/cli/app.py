@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import contextlib
 import errno
 import re
 import signal
+import sys
 from typing import Annotated, Any
 
 import typer
@@ -15,6 +15,7 @@ import rrm
 from rrm.errors import RrmError
 from rrmctl.cli import demos, export, inspect, page, prior, report, run
 from rrmctl.errors import Exit, UserError
+from rrmctl.streams import UndeliveredError, attend
 
 #: Conditions of the machine rather than bugs of the program.
 _MACHINE = {errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOSPC, errno.EDQUOT}
@@ -43,6 +44,8 @@ class _Commands(TyperGroup):
             _say(f"{error.filename or 'the file system'}: {error.strerror}", hint)
         except KeyboardInterrupt:
             raise typer.Exit(Exit.INTERRUPTED) from None
+        except typer.Abort:  # the end of standard input, where a question was asked
+            raise typer.Exit(Exit.INCOMPLETE) from None
         raise typer.Exit(Exit.USAGE)
 
 
@@ -55,10 +58,9 @@ def _say(message: str, hint: str | None) -> None:
     from rich.text import Text
 
     console = Console(stderr=True, highlight=False, soft_wrap=True)
-    with contextlib.suppress(OSError):  # the exit code still tells
-        console.print(Text.assemble(("error: ", "bold red"), _spelled(message)))
-        if hint:
-            console.print(Text.assemble(("hint: ", "bold cyan"), _spelled(hint)))
+    console.print(Text.assemble(("error: ", "bold red"), _spelled(message)))
+    if hint:
+        console.print(Text.assemble(("hint: ", "bold cyan"), _spelled(hint)))
 
 
 def _spelled(text: str) -> str:
@@ -113,8 +115,14 @@ app.add_typer(demos.demos_app, name="demos")
 
 def main() -> None:
     """The `rrmctl` program."""
+    attend(telling=True)
     try:
         app()
+    except UndeliveredError as loss:
+        if loss.reason.errno == errno.EPIPE:  # whoever reads has what it wanted
+            sys.exit(Exit.DONE)
+        _say(f"standard output: {loss.reason.strerror}", "not all was printed; send it somewhere else")
+        sys.exit(Exit.USAGE)
     finally:  # how it ended is decided: a request to stop while Python winds up must not change the exit code
         for number in (signal.SIGTERM, signal.SIGINT):
             signal.signal(number, signal.SIG_IGN)

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from rrmctl.cli.options import DEFAULT_EXPERIMENTS, ExperimentsOption
+from rrmctl.cli.screen import tell
 from rrmctl.errors import UserError
 
 if TYPE_CHECKING:
@@ -82,16 +83,14 @@ def add(
     target, record = freeze(spec, files, origin, into or experiments.absolute().parent / "priors")
     _show(record)
     name = os.path.relpath(target)
-    typer.echo(
-        f'\nfrozen: {name}\nuse it: --prior {name}:reward, or prior = "{name}:reward" in a manifest\'s [method.NAME]'
-    )
+    tell(f'\nfrozen: {name}\nuse it: --prior {name}:reward, or prior = "{name}:reward" in a manifest\'s [method.NAME]')
 
 
 def _show(record: Record) -> None:
     for candidate in record.candidates:
         score = "the only one left" if candidate.score is None else f"{candidate.score:.4f}"
         kept = "*" if candidate.file == record.kept else " "
-        typer.echo(f"{kept} {candidate.refused or f'{candidate.file}: {score}'}")
+        tell(f"{kept} {candidate.refused or f'{candidate.file}: {score}'}")
 
 
 def _read(path: Path) -> str:

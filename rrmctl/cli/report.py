@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from rrmctl.cli.options import DEFAULT_RESULTS, ResultsOption
+from rrmctl.cli.screen import tell
 from rrmctl.errors import UserError
 from rrmctl.reports.figures import figures
 from rrmctl.reports.kinds import kinds
@@ -195,7 +196,7 @@ def plot(
             for suffix in forms or Drawing:
                 path = (output or results / "figures") / f"{_figure_name(section, figure, width)}.{suffix}"
                 _write(path, encode(made, suffix.value))
-                typer.echo(str(path))
+                tell(str(path))
 
 
 plot.__doc__ = "\n\n".join(

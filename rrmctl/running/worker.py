@@ -32,6 +32,7 @@ from rrmctl.store.reader import read_config
 from rrmctl.store.records import ErrorKind, RunError, State, Status, read_status, write_status
 from rrmctl.store.schema import IDENTITY
 from rrmctl.store.writer import CurveWriter
+from rrmctl.streams import attend
 
 if TYPE_CHECKING:
     from rrm.training.config import RunConfig
@@ -270,4 +271,5 @@ def _log(text: str) -> None:
 
 
 if __name__ == "__main__":
+    attend()
     sys.exit(main())
