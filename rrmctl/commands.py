@@ -1,16 +1,30 @@
-"""Commands that messages and pages tell people to type."""
+"""Commands that messages and pages tell people to type, each as a shell takes it from where it is printed."""
 
 from __future__ import annotations
 
 import json
+import os
 import re
 import shlex
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
+DEFAULT_RESULTS = Path("results")
+
 #: Text that `--set` reads as text without quotes around it.
 _WORD = re.compile(r"(?!(?:true|false|inf|nan)$)[A-Za-z_][\w-]*")
+
+
+def rrmctl(*words: str, results: str | Path | None = None) -> str:
+    """An `rrmctl` command.
+
+    Args:
+        results: the results root that it is about; said where the command would not take it by itself.
+    """
+    default = Path(os.environ.get("RRMCTL_RESULTS") or DEFAULT_RESULTS)
+    where = () if results is None or Path(results) == default else ("--results", str(results))
+    return shlex.join(["rrmctl", *words, *where])
 
 
 def run_command(
@@ -28,17 +42,16 @@ def run_command(
 
     Args:
         overrides: of the variant, by dotted name.
-        results: the results root; None leaves it to the reader's default.
+        results: as in `rrmctl`.
         force: train also what is done.
     """
-    words = ["rrmctl", "run", experiment, "--profile", profile]
+    words = ["run", experiment, "--profile", profile]
     for key, value in overrides.items():
         words += ["--set", f"{key}={assigned(value)}"]
     numbers = list(dict.fromkeys(seeds))
     words += ["--tasks", ",".join(dict.fromkeys(tasks)), "--methods", ",".join(dict.fromkeys(methods))]
     words += ["--seeds", ",".join(map(str, numbers)) + ("," if len(numbers) == 1 else "")]
-    words += [] if results is None else ["--results", str(results)]
-    return shlex.join([*words, *(["--force"] if force else [])])
+    return rrmctl(*words, *(["--force"] if force else []), results=results)
 
 
 def assigned(value: Any) -> str:

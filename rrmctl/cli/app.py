@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import os
 import re
 import signal
 import sys
@@ -14,7 +15,7 @@ from typer.core import TyperGroup
 import rrm
 from rrm.errors import RrmError
 from rrmctl.cli import demos, export, inspect, page, prior, report, run
-from rrmctl.errors import Exit, UserError
+from rrmctl.errors import Exit, UserError, room_error
 from rrmctl.streams import UndeliveredError, attend
 
 #: Conditions of the machine rather than bugs of the program.
@@ -22,6 +23,11 @@ _MACHINE = {errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOSPC, errno.EDQUOT}
 
 #: Names that no file can have.
 _NAMES = {errno.ENAMETOOLONG, errno.ELOOP}
+
+#: For what the libraries here do: a thread of each is enough, and none sets memory aside.
+_MODEST = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "ARROW_IO_THREADS"), "1") | {
+    "ARROW_DEFAULT_MEMORY_POOL": "system"
+}
 
 _CONTROL = re.compile(r"[\x00-\x09\x0b-\x1f\x7f-\x9f]")
 
@@ -32,21 +38,29 @@ class _Commands(TyperGroup):
     def invoke(self, ctx: Any) -> Any:  # the context is click's, or typer's copy of it, as its version has it
         try:
             return super().invoke(ctx)
-        except UserError as error:
-            _say(str(error), error.hint)
-            raise typer.Exit(error.code) from None
-        except RrmError as error:
-            _say(str(error), None)
-        except OSError as error:
-            if error.errno not in _MACHINE | _NAMES:
-                raise
-            hint = "free space or choose another --results DIR" if error.errno in _MACHINE else None
-            _say(f"{error.filename or 'the file system'}: {error.strerror}", hint)
         except KeyboardInterrupt:
             raise typer.Exit(Exit.INTERRUPTED) from None
         except typer.Abort:  # the end of standard input, where a question was asked
             raise typer.Exit(Exit.INCOMPLETE) from None
-        raise typer.Exit(Exit.USAGE)
+        except Exception as error:
+            told = _for_people(error)
+            if told is None:
+                raise
+            _say(str(told), told.hint)
+            raise typer.Exit(told.code) from None
+
+
+def _for_people(error: Exception) -> UserError | None:
+    """The message for an error that the user can act on; None for the others."""
+    match error:
+        case UserError():
+            return error
+        case RrmError():
+            return UserError(str(error))
+        case OSError(errno=number) if number in _MACHINE | _NAMES:
+            hint = "free space or choose another --results DIR" if number in _MACHINE else None
+            return UserError(f"{error.filename or 'the file system'}: {error.strerror}", hint)
+    return room_error(error)
 
 
 def _say(message: str, hint: str | None) -> None:
@@ -116,6 +130,7 @@ app.add_typer(demos.demos_app, name="demos")
 def main() -> None:
     """The `rrmctl` program."""
     attend(telling=True)
+    os.environ.update(_MODEST | os.environ)
     try:
         app()
     except UndeliveredError as loss:

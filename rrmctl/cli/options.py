@@ -8,7 +8,9 @@ from typing import Annotated
 
 import typer
 
-DEFAULT_RESULTS = Path("results")
+from rrmctl import commands
+
+DEFAULT_RESULTS = commands.DEFAULT_RESULTS
 DEFAULT_EXPERIMENTS = Path("experiments")
 
 

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
@@ -70,8 +69,7 @@ def read_makings(layout: Layout, runs: Sequence[str]) -> dict[str, Making]:
         DamagedError: a configuration or provenance cannot be read.
         UserError: a run has no configuration.
     """
-    with ThreadPoolExecutor(max_workers=8) as threads:  # on network disks the waiting counts most
-        return dict(zip(runs, threads.map(lambda run: _read(layout.run(run)), runs), strict=True))
+    return {run: _read(layout.run(run)) for run in runs}
 
 
 def _read(folder: RunFolder) -> Making:

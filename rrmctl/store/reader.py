@@ -6,7 +6,6 @@ import dataclasses
 import json
 import os
 from collections.abc import Iterable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -305,9 +304,7 @@ def _curves(layout: Layout, runs: Sequence[str]) -> pd.DataFrame:
     """`run` and the measured columns of all these runs."""
     import pyarrow as pa
 
-    # Threads: parsing frees the interpreter, and on network disks the waiting counts most.
-    with ThreadPoolExecutor(max_workers=8) as threads:
-        tables = [table for table in threads.map(lambda run: read_curve(layout.run(run)), runs) if table is not None]
+    tables = [table for run in runs if (table := read_curve(layout.run(run))) is not None]
     curves: pa.Table = pa.concat_tables([curve_schema().empty_table(), *tables])
     frame: pd.DataFrame = curves.drop_columns([name for name in IDENTITY if name != "run"]).to_pandas()
     return frame[["run", *MEASURED]]

@@ -193,8 +193,8 @@ def test_show(tmp_path: Path) -> None:
     assert "line 47\nline 48\nline 49\n" in out
     assert "line 46" not in out
     assert (
-        "rrmctl run stand-in --profile smoke --tasks toy-car --methods oracle --seeds 1, "
-        f"--results {tmp_path} --force" in out
+        "rrmctl run stand-in --profile smoke --tasks toy-car --methods oracle --seeds 1, --force "
+        f"--results {tmp_path}" in out
     )
 
 
