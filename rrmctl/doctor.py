@@ -5,6 +5,7 @@ from __future__ import annotations
 import fcntl
 import os
 import platform
+import shlex
 import shutil
 import subprocess
 import sys
@@ -28,7 +29,7 @@ _RENDER = (
     "d=m.MjData(k); r=m.Renderer(k,8,8); r.update_scene(d); r.render(); r.close()"
 )
 _SIMULATE = "import mujoco, metaworld, dm_control.suite, gymnasium, torch"
-_MESA = "apt-get install libegl1 libegl-mesa0 libgl1-mesa-dri (or libosmesa6)"
+_MESA = "apt-get install libegl1 libegl-mesa0 libgl1-mesa-dri; or: apt-get install libosmesa6"
 
 
 @dataclass(frozen=True)
@@ -90,7 +91,7 @@ def package(name: str, specifier: str, *, needed: bool) -> Check:
     from packaging.specifiers import SpecifierSet
 
     state: Literal["note", "missing"] = "missing" if needed else "note"
-    fix = f"{Path(sys.executable).name} -m pip install '{name}{specifier}'"
+    fix = shlex.join([sys.executable, "-m", "pip", "install", f"{name}{specifier}"])
     try:
         version = metadata.version(name)
     except metadata.PackageNotFoundError:

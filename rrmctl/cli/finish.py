@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 import typer
 
 from rrm.errors import RrmError
+from rrmctl.cli.again import rerun_command
 from rrmctl.cli.screen import tell
-from rrmctl.cli.state import rerun_command
 from rrmctl.commands import rrmctl
 from rrmctl.errors import Exit, UserError, room_error
 
@@ -34,14 +34,14 @@ def finish(layout: Layout, code: Exit, sweeps: Sequence[SweepRecord], *, damaged
     names = list(dict.fromkeys(sweep.experiment for sweep in sweeps))
     states = statuses(layout, (job for sweep in sweeps for job in sweep.everything))
     found = {status.state for status in states.values()}
-    lost: list[str] = []
+    lost: list[tuple[str, str]] = []
     if code is not Exit.INTERRUPTED and "done" in found:
-        for name in names:
-            later = rrmctl("report", "iqm", name, results=layout.root)
-            _afterwards(f"aggregates/{name}.parquet was not written", later, partial(_aggregate, layout, name))
         again = rrmctl("resume", results=layout.root)
         _afterwards("not every curve was looked at", again, lambda: lost.extend(_lost(layout, sweeps)))
-    for line in lost:
+        for name in (each for each in names if each not in dict(lost)):
+            later = rrmctl("report", "iqm", name, results=layout.root)
+            _afterwards(f"aggregates/{name}.parquet was not written", later, partial(_aggregate, layout, name))
+    for _, line in lost:
         tell(line)
     if code is Exit.DONE and (lost or damaged or "failed" in found):
         code = Exit.FAILED
@@ -77,8 +77,8 @@ def _advise(layout: Layout, code: Exit, names: Sequence[str], *, failed: bool) -
             tell(f"Not complete; this goes on where it stopped: {command('resume', *name)}")
 
 
-def _lost(layout: Layout, sweeps: Iterable[SweepRecord]) -> Iterator[str]:
-    """A line for each run that is done and whose curve is not all there."""
+def _lost(layout: Layout, sweeps: Iterable[SweepRecord]) -> Iterator[tuple[str, str]]:
+    """The experiment, and a line for each run that is done and whose curve is not all there."""
     from rrmctl.store.reader import lost_rows, run_status
 
     jobs: dict[str, tuple[SweepRecord, JobRecord]] = {job.id: (sweep, job) for sweep in sweeps for job in sweep.jobs}
@@ -92,7 +92,8 @@ def _lost(layout: Layout, sweeps: Iterable[SweepRecord]) -> Iterator[str]:
         problem = look(run)
         if problem is not None:
             command = rerun_command(layout, sweep, job)
-            yield f"{job.label} is done, but {problem}. Bring the file back, or train it again: {command}"
+            told = f"{job.label} is done, but {problem}. Bring the file back, or train it again: {command}"
+            yield sweep.experiment, told
 
 
 def _aggregate(layout: Layout, name: str) -> None:

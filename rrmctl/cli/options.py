@@ -14,10 +14,14 @@ DEFAULT_RESULTS = commands.DEFAULT_RESULTS
 DEFAULT_EXPERIMENTS = Path("experiments")
 
 
+def default_experiments() -> Path:
+    """Where manifests are looked for without --experiments."""
+    return Path(os.environ.get("RRMCTL_EXPERIMENTS") or DEFAULT_EXPERIMENTS)
+
+
 def complete_experiment(incomplete: str) -> list[str]:
     """For the shell: experiments whose name starts with what was typed."""
-    folder = Path(os.environ.get("RRMCTL_EXPERIMENTS", DEFAULT_EXPERIMENTS))
-    return sorted(path.stem for path in folder.glob("*.toml") if path.stem.startswith(incomplete))
+    return sorted(path.stem for path in default_experiments().glob("*.toml") if path.stem.startswith(incomplete))
 
 
 def complete_profile(incomplete: str) -> list[str]:

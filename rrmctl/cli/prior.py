@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 import os
+import shlex
 from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -83,7 +85,9 @@ def add(
     target, record = freeze(spec, files, origin, into or experiments.absolute().parent / "priors")
     _show(record)
     name = os.path.relpath(target)
-    tell(f'\nfrozen: {name}\nuse it: --prior {name}:reward, or prior = "{name}:reward" in a manifest\'s [method.NAME]')
+    option = shlex.join(["--prior", f"{name}:reward"])
+    line = f"prior = {json.dumps(f'{os.path.relpath(target, experiments)}:reward')}"  # manifests name files from there
+    tell(f"\nfrozen: {name}\nuse it: {option}, or {line} in the [method.NAME] of a manifest in {experiments}")
 
 
 def _show(record: Record) -> None:

@@ -13,12 +13,12 @@ from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from rrmctl.commands import run_command
+from rrmctl.commands import run_commands
 from rrmctl.errors import UserError
 from rrmctl.planning.settings import config_version
 from rrmctl.reports.series import NOTHING_ASKED, Label, Section
 from rrmctl.store.layout import Layout, RunFolder
-from rrmctl.store.provenance import made_with
+from rrmctl.store.provenance import asked_by, made_with
 from rrmctl.store.reader import read_config
 
 if TYPE_CHECKING:
@@ -154,7 +154,7 @@ def configurations(label: Label, rows: pd.DataFrame) -> UserError | None:
     which = "; ".join(f"{cell} (seeds {', '.join(map(str, seeds))})" for cell, seeds in cells.items())
     return UserError(
         f"{label}: its runs were made with {len(cells)} different configurations and cannot be averaged: {which}",
-        "a manifest or a default changed between two `rrmctl run`s; `rrmctl show RUN` tells the difference. "
+        "a manifest or a default changed between two times `rrmctl run NAME`; `rrmctl show RUN` tells the difference. "
         "Run the experiment into a fresh --results folder",
     )
 
@@ -170,19 +170,15 @@ def _now(fact: str) -> str | None:
 
 
 def _commands(section: Section, stale: Mapping[str, Sequence[Made]], results: str | Path) -> list[str]:
-    """What trains these runs anew and no other task, method or seed: a command for each task and set of seeds."""
-    seeds: dict[tuple[str, str], set[int]] = defaultdict(set)
-    for made in (made for runs in stale.values() for made in runs):
-        seeds[made.label.task, made.label.method].add(made.seed)
-    alike: dict[tuple[str, tuple[int, ...]], list[str]] = defaultdict(list)
-    for (task, method), found in seeds.items():
-        alike[task, tuple(sorted(found))].append(method)
-    force = bool(set(stale) - {VERSION})  # a run of another version is another run
-    asked = (section.experiment, section.profile, section.overrides)
-    return [
-        run_command(*asked, tasks=[task], methods=methods, seeds=numbers, results=results, force=force)
-        for (task, numbers), methods in alike.items()
-    ]
+    """What trains these runs anew and no other."""
+    made = [each for runs in stale.values() for each in runs]
+    return run_commands(
+        section.experiment, section.profile, section.overrides,
+        [(each.label.task, each.label.method, each.seed) for each in made],
+        asked=[asked_by(Layout(Path(results)).run(each.run)) for each in made],
+        options=["--force"] if set(stale) - {VERSION} else [],  # a run of another version is another run
+        results=results,
+    )  # fmt: skip
 
 
 def _runs(section: Section) -> Iterator[Made]:

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from rrm.envs.tasks import task
+from rrmctl.commands import rrmctl
 from rrmctl.errors import UserError
 from rrmctl.reports import mixing, names
 from rrmctl.reports.mixing import Making
@@ -77,9 +78,10 @@ def of_profile(found: Sequence[Section], profile: str | None) -> tuple[Section, 
         which = ", ".join(dict.fromkeys(each.experiment for each in chosen))
         states = Counter(absent.state for each in chosen for absent in each.absent)
         told = ", ".join(f"{count} {state}" for state, count in states.items())
+        root = next((each.source.root for each in chosen if each.source is not None), None)
         raise UserError(
             f"{which}: no run can be reported yet; of the planned ones {told}",
-            "`rrmctl status` says where they stand; `rrmctl run NAME` goes on",
+            f"`{rrmctl('status', results=root)}` says where they stand, and what goes on with them",
         )
     return tuple(chosen)
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from rrmctl.commands import rrmctl
 from rrmctl.errors import UserError
 from rrmctl.store.layout import RunFolder
 from rrmctl.store.reader import read_config
@@ -49,9 +50,12 @@ def load_config(folder: RunFolder) -> RunConfig | DemosConfig:
     try:
         config = model.model_validate(fields)
     except ValidationError as error:
-        raise UserError(f"{folder.config} is not a configuration: {error}", "move it away and run again") from error
+        raise UserError(
+            f"{folder.config} is not a configuration: {error}",
+            "move it away and run the experiment again with --retry-failed",
+        ) from error
     if isinstance(config, RunConfig):
-        _check_files(config)
+        _check_files(config, folder)
     if config.identity != folder.id:
         raise UserError(
             f"{folder.config} describes run {config.identity}, not {folder.id}: it was edited",
@@ -60,7 +64,7 @@ def load_config(folder: RunFolder) -> RunConfig | DemosConfig:
     return config
 
 
-def _check_files(config: RunConfig) -> None:
+def _check_files(config: RunConfig, folder: RunFolder) -> None:
     """Refuse a user's file that is no longer the one the run was planned with: it would be another run."""
     from rrm.registry import file_digest, source_digest
 
@@ -74,5 +78,5 @@ def _check_files(config: RunConfig) -> None:
             raise UserError(
                 f"{path} has changed since this run was planned with it",
                 "run the experiment again: the changed file makes new runs; or bring the old file back, then "
-                "`rrmctl resume --retry-failed`",
+                f"`{rrmctl('resume', '--retry-failed', results=folder.results)}`",
             )

@@ -21,6 +21,7 @@ from enum import IntEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol, TypeVar
 
+from rrmctl.commands import rrmctl
 from rrmctl.errors import UserError
 from rrmctl.running.lifeline import Leave, Pipe, StopRequest, say
 from rrmctl.running.monitor import RunMonitor
@@ -250,7 +251,7 @@ def _reason(folder: RunFolder, error: Exception) -> tuple[WorkerExit, RunError]:
         error = atomic.storage_error(Path(error.filename or folder.path), error, "read or write")
     name = type(error).__name__
     if isinstance(error, atomic.StorageError):
-        message = f"{error} ({error.todo}, then `rrmctl resume` goes on)"
+        message = f"{error} ({error.todo}, then `{rrmctl('resume', results=folder.results)}` goes on)"
         return WorkerExit.STORAGE, RunError(kind=ErrorKind.STORAGE, type=name, message=message)
     if isinstance(error, UserError | RrmError):
         return WorkerExit.REFUSED, RunError(kind=ErrorKind.REFUSED, type=name, message=_told(error))

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rrmctl.store.atomic import DamagedError, unreadable
+from rrmctl.store.curve import rerunning
 from rrmctl.store.layout import Layout, RunFolder
 
 if TYPE_CHECKING:
@@ -40,7 +41,7 @@ def _read(folder: RunFolder) -> pd.DataFrame:
     import pyarrow as pa
     import pyarrow.parquet as pq
 
-    hint = "train the run again with --force, or remove the file"
+    hint = f"remove the file, or train the run again: {rerunning(folder)}"
     try:
         data = folder.gradients.read_bytes()
     except OSError as error:

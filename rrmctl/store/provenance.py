@@ -14,6 +14,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from rrmctl.errors import UserError
 from rrmctl.machine import cpu_model
 from rrmctl.store import shape
 from rrmctl.store.atomic import read_json, write_json
@@ -80,6 +81,15 @@ def read_provenance(folder: RunFolder) -> dict[str, Any] | None:
         hint = "move it away; what the run ran with until now is then unknown"
         shape.check_version(dict(known), folder.provenance, hint)
     return known
+
+
+def asked_by(folder: RunFolder) -> list[str]:
+    """The command that asked for the run's first attempt; empty where that is not known."""
+    try:
+        known = read_provenance(folder) or {}
+    except UserError:
+        return []
+    return list(map(str, known.get("argv", [])))
 
 
 def record(folder: RunFolder, now: Provenance) -> list[str]:

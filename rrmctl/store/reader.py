@@ -9,10 +9,11 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
+from rrmctl.commands import rrmctl
 from rrmctl.errors import UserError
 from rrmctl.store import shape
 from rrmctl.store.atomic import DamagedError, StorageError, is_locked, read_json, unreadable
-from rrmctl.store.curve import decode
+from rrmctl.store.curve import decode, rerunning
 from rrmctl.store.layout import Layout, RunFolder
 from rrmctl.store.records import ErrorKind, RunError, State, Status, read_status
 from rrmctl.store.schema import IDENTITY, LABELS, MEASURED, curve_schema
@@ -140,7 +141,7 @@ def read_curve(folder: RunFolder) -> pa.Table | None:
     if others:
         raise DamagedError(
             f"{path} is the curve of run {', '.join(sorted(others))}, not of {folder.id}",
-            "bring back its own, or train the run again with --force",
+            f"bring back its own, or train the run again: {rerunning(folder)}",
         )
     return table
 
@@ -225,7 +226,8 @@ def open_results(results: str | Path) -> Layout:
     """
     layout = new_results(results)
     if not layout.root.is_dir():
-        raise UserError(f"there is no results folder {layout.root}", "`rrmctl run` makes one; --results names another")
+        begin = rrmctl("run", "quickstart", results=layout.root)
+        raise UserError(f"there is no results folder {layout.root}", f"`{begin}` makes one; --results names another")
     return layout
 
 
@@ -255,7 +257,7 @@ def find_sweeps(layout: Layout, experiment: str) -> list[SweepRecord]:
         raise UserError(
             f"{layout.root} holds no runs of {experiment!r}; it holds: {', '.join(known) or 'nothing yet'}"
             f"{nearest(experiment, known)}",
-            f"start it with `rrmctl run {experiment}`, or name another folder with --results",
+            "`rrmctl list` names what there is to run; or name another folder with --results",
         )
     return sweeps
 
@@ -267,14 +269,18 @@ def find_run(layout: Layout, prefix: str) -> RunFolder:
         UserError: none does, or several do, or `prefix` is empty.
     """
     if not prefix:
-        raise UserError("no run was named", "give its id or the first digits of it; `rrmctl status --failed` lists ids")
+        raise UserError("no run was named", f"give its id or the first digits of it; {_ids(layout)}")
     matches = [run for run in layout.run_ids() if run.startswith(prefix)]
     if len(matches) == 1:
         return layout.run(matches[0])
     if not matches:
-        raise UserError(f"no run in {layout.root} starts with {prefix!r}", "`rrmctl status --failed` lists ids")
+        raise UserError(f"no run in {layout.root} starts with {prefix!r}", _ids(layout))
     shown = ", ".join(matches[:8]) + (", ..." if len(matches) > 8 else "")
     raise UserError(f"{prefix!r} stands for {len(matches)} runs: {shown}", "give more digits")
+
+
+def _ids(layout: Layout) -> str:
+    return f"ids are the names of the folders in {layout.root / 'runs'}"
 
 
 def _planned_row(sweep: SweepRecord, job: JobRecord, status: Status) -> tuple[Any, ...]:

@@ -68,7 +68,7 @@ def read_record(path: Path) -> Record:
     except (OSError, UnicodeDecodeError) as error:
         raise ConfigError(f"cannot read {path}: {error}") from error
     if _BEGIN not in lines or _END not in lines[lines.index(_BEGIN) :]:
-        raise ConfigError(f"{path} has no record ({_BEGIN} ... {_END}); `rrmctl prior language add` writes one")
+        raise ConfigError(f"{path} has no record ({_BEGIN} ... {_END}); `rrmctl prior language add --help`")
     begin = lines.index(_BEGIN) + 1
     block = lines[begin : lines.index(_END, begin)]
     try:

@@ -193,8 +193,8 @@ def test_show(tmp_path: Path) -> None:
     assert "line 47\nline 48\nline 49\n" in out
     assert "line 46" not in out
     assert (
-        "rrmctl run stand-in --profile smoke --tasks toy-car --methods oracle --seeds 1, --force "
-        f"--results {tmp_path}" in out
+        "rrmctl run stand-in --profile smoke --tasks toy-car --methods oracle --seeds 1, "
+        f"--results {tmp_path} --force" in out
     )
 
 
@@ -404,7 +404,7 @@ def test_a_full_disk_in_the_middle_of_a_write(tmp_path: Path) -> None:
         result = call("run", *sweep, "--results", small)
         assert result.exit_code == 75, result.output
         assert "No space left on device" in result.stderr
-        assert "make space, then `rrmctl resume` goes on" in " ".join(result.stderr.split())
+        assert f"make space, then `rrmctl resume --results {tmp_path}` goes on" in " ".join(result.stderr.split())
         assert "Traceback" not in result.output
         assert call("status", "--results", small).exit_code == 0
         before = load(small, "toy-car")
