@@ -33,10 +33,9 @@ def open_regular(path: Path) -> BinaryIO:
 def read_bounded(path: Path, limit: int) -> bytes:
     """The content of a regular file of at most `limit` bytes. Raises as `open_regular`, and for a larger one."""
     with open_regular(path) as file:
-        data = file.read(limit + 1)
-    if len(data) > limit:
-        raise UnfitFileError(errno.EFBIG, f"longer than {limit:,} bytes", str(path))
-    return data
+        if os.fstat(file.fileno()).st_size > limit:
+            raise UnfitFileError(errno.EFBIG, f"longer than {limit:,} bytes", str(path))
+        return file.read()  # with a number, Python would set that much memory aside
 
 
 def place(path: str | Path) -> Path:

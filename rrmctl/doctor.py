@@ -5,6 +5,7 @@ from __future__ import annotations
 import fcntl
 import os
 import platform
+import shlex
 import shutil
 import subprocess
 import sys
@@ -31,7 +32,7 @@ _RENDER = (
     "d=m.MjData(k); r=m.Renderer(k,8,8); r.update_scene(d); r.render(); r.close()"
 )
 _SIMULATE = "import mujoco, metaworld, dm_control.suite, gymnasium, torch"
-_MESA = "apt-get install libegl1 libegl-mesa0 libgl1-mesa-dri (or libosmesa6)"
+_MESA = "apt-get install libegl1 libegl-mesa0 libgl1-mesa-dri; or: apt-get install libosmesa6"
 
 
 @dataclass(frozen=True)
@@ -97,7 +98,7 @@ def package(name: str, specifier: str, *, needed: bool) -> Check:
     from packaging.specifiers import SpecifierSet
 
     state: Literal["note", "missing"] = "missing" if needed else "note"
-    fix = f"{Path(sys.executable).name} -m pip install '{name}{specifier}'"
+    fix = shlex.join([sys.executable, "-m", "pip", "install", f"{name}{specifier}"])
     try:
         version = metadata.version(name)
     except metadata.PackageNotFoundError:
@@ -122,9 +123,7 @@ def processor() -> Check:
 
 def threads() -> Check:
     """Workers set their own limits; a limit in the environment of this shell does not matter to them."""
-    names = [name for name in ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS") if name in os.environ]
-    inherited = ", ".join(f"{name}={os.environ[name]}" for name in names) or "no limit set in this shell"
-    return Check("threads", "ok", f"one per worker; {inherited}")
+    return Check("threads", "ok", "one per worker, whatever is set in this shell")
 
 
 def precision(cpuinfo: Path = Path("/proc/cpuinfo")) -> Check:

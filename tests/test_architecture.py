@@ -274,3 +274,16 @@ def test_profiles_speak_of_what_exists() -> None:
     for name, table in tomllib.loads(profiles.PATH.read_text()).items():
         assert set(table.get("suite", {})) <= suites, name
         assert set(table.get("task", {})) <= set(TASKS), name
+
+
+def test_arrow_starts_no_threads() -> None:
+    """A thread of Arrow's that is still at work when the process ends aborts it: what reads or converts says so."""
+    calls = {
+        f"{name}: {ast.unparse(node)}"
+        for name, path in MODULES.items()
+        for node in ast.walk(ast.parse(path.read_text()))
+        if isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute) and "pyarrow" in path.read_text()
+        and (node.func.attr == "to_pandas" or (node.func.attr == "read" and "file.read()" not in ast.unparse(node)))
+        and "use_threads" not in {keyword.arg for keyword in node.keywords}
+    }  # fmt: skip
+    assert calls == set()

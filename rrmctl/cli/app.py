@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import contextlib
 import errno
-import io
 import itertools
 import os
 import signal
@@ -19,7 +17,8 @@ import rrm
 from rrm.errors import RrmError
 from rrm.process import environment
 from rrmctl.cli import clean, demos, explain, export, inspect, page, prior, report, run, show, state
-from rrmctl.errors import Exit, UserError
+from rrmctl.errors import Exit, UserError, room_error
+from rrmctl.streams import UndeliveredError, attend
 from rrmctl.terminal import console
 
 #: Conditions of the machine rather than bugs of the program.
@@ -31,6 +30,11 @@ _NAMES = {errno.ENAMETOOLONG, errno.ELOOP}
 
 #: Options that name a file or folder to be written to, or read.
 _PLACES = {"--results", "--experiments", "-o", "--output", "--into", "--prompt"}
+
+#: For what the libraries here do: a thread of each is enough, and none sets memory aside.
+_MODEST = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "ARROW_IO_THREADS"), "1") | {
+    "ARROW_DEFAULT_MEMORY_POOL": "system"
+}
 
 
 class _Commands(TyperGroup):
@@ -47,19 +51,29 @@ class _Commands(TyperGroup):
         try:
             _stand_somewhere()
             return super().invoke(ctx)
-        except UserError as error:
-            _say(str(error), error.hint)
-            raise typer.Exit(error.code) from None
-        except RrmError as error:
-            _say(str(error), None)
-        except OSError as error:
-            if error.errno not in _MACHINE | _NAMES:
-                raise
-            hint = "free space or choose another --results DIR" if error.errno in _MACHINE else None
-            _say(f"{error.filename or 'the file system'}: {error.strerror}", hint)
         except KeyboardInterrupt:
             raise typer.Exit(Exit.INTERRUPTED) from None
-        raise typer.Exit(Exit.USAGE)
+        except typer.Abort:  # the end of standard input, where a question was asked
+            raise typer.Exit(Exit.INCOMPLETE) from None
+        except Exception as error:
+            told = _for_people(error)
+            if told is None:
+                raise
+            _say(str(told), told.hint)
+            raise typer.Exit(told.code) from None
+
+
+def _for_people(error: Exception) -> UserError | None:
+    """The message for an error that the user can act on; None for the others."""
+    match error:
+        case UserError():
+            return error
+        case RrmError():
+            return UserError(str(error))
+        case OSError(errno=number) if number in _MACHINE | _NAMES:
+            hint = "free space or choose another --results DIR" if number in _MACHINE else None
+            return UserError(f"{error.filename or 'the file system'}: {error.strerror}", hint)
+    return room_error(error)
 
 
 def _stand_somewhere() -> None:
@@ -75,10 +89,9 @@ def _say(message: str, hint: str | None) -> None:
     from rich.text import Text
 
     error = console(stderr=True, highlight=False, soft_wrap=True)
-    with contextlib.suppress(OSError):  # the exit code still tells
-        error.print(Text.assemble(("error: ", "bold red"), message))
-        if hint:
-            error.print(Text.assemble(("hint: ", "bold cyan"), hint))
+    error.print(Text.assemble(("error: ", "bold red"), message))
+    if hint:
+        error.print(Text.assemble(("hint: ", "bold cyan"), hint))
 
 
 app = typer.Typer(
@@ -130,21 +143,17 @@ app.add_typer(demos.demos_app, name="demos")
 
 def main() -> None:
     """The `rrmctl` program."""
-    _settle()
+    attend(telling=True)
+    heeded = _MODEST | environment()
+    os.environ.clear()
+    os.environ.update(heeded)
     try:
         app()
+    except UndeliveredError as loss:
+        if loss.reason.errno == errno.EPIPE:  # whoever reads has what it wanted
+            sys.exit(Exit.DONE)
+        _say(f"standard output: {loss.reason.strerror}", "not all was printed; send it somewhere else")
+        sys.exit(Exit.USAGE)
     finally:  # how it ended is decided: a request to stop while Python winds up must not change the exit code
         for number in (signal.SIGTERM, signal.SIGINT):
             signal.signal(number, signal.SIG_IGN)
-
-
-def _settle() -> None:
-    """Drop what of the user's environment is not heeded; output is UTF-8 whatever the locale, and may be closed."""
-    heeded = environment()
-    os.environ.clear()
-    os.environ.update(heeded)
-    for name in ("stdout", "stderr"):
-        stream = getattr(sys, name) or Path(os.devnull).open("w")  # noqa: SIM115  (for as long as the process lives)
-        if isinstance(stream, io.TextIOWrapper):
-            stream.reconfigure(encoding="utf-8", errors="backslashreplace")  # names can hold what no encoding has
-        setattr(sys, name, stream)

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from rrmctl.cli.screen import tell
+from rrmctl.commands import rrmctl
 from rrmctl.errors import Exit, UserError
 
 if TYPE_CHECKING:
@@ -140,7 +141,7 @@ def _look(layout: Layout, plan: Plan, trial: Trial, seeds: list[int]) -> Contest
         if each.verdict.looks * trial.group < len(seeds):
             raise UserError(
                 f"{_name(each.pair)}: a run is done, but cannot be scored",
-                f"`rrmctl report power {plan.experiment}` says which and why",
+                f"`{rrmctl('report', 'power', plan.experiment, results=layout.root)}` says which and why",
             )
     return found
 

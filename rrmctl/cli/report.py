@@ -200,7 +200,7 @@ def plot(
             for suffix in forms or Drawing:
                 path = (output or results / "figures") / f"{_figure_name(section, figure, width)}.{suffix}"
                 _write(path, encode(made, suffix.value))
-                typer.echo(str(path))
+                tell(str(path))
 
 
 plot.__doc__ = "\n\n".join(

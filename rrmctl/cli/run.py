@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from rrmctl.cli.again import remaking_commands, unconfigured
 from rrmctl.cli.finish import finish
 from rrmctl.cli.introduction import LARGE_H, from_nothing, introduce
 from rrmctl.cli.leaving import resumable
@@ -39,6 +40,7 @@ from rrmctl.cli.request import Request, forecast, job_record
 from rrmctl.cli.screen import drain, unfailing
 from rrmctl.cli.state import note_damage
 from rrmctl.cli.trust import remember, require_trust
+from rrmctl.commands import rrmctl
 from rrmctl.errors import Exit, UserError
 from rrmctl.terminal import console
 
@@ -162,7 +164,8 @@ def resume(
     sweeps, damage = readable_sweeps(layout) if name is None else (find_sweeps(layout, name), [])
     note_damage(damage)
     if not sweeps:
-        raise UserError(f"{results} holds no sweep", "begin one with `rrmctl run NAME`; `rrmctl list` shows the names")
+        begin = rrmctl("run", "quickstart", results=results)
+        raise UserError(f"{results} holds no sweep", f"begin one, such as `{begin}`; `rrmctl list` shows the names")
     jobs = {job.id: job for sweep in sweeps for job in sweep.everything}
     states = statuses(layout, jobs.values())
     chosen = [job for job in jobs.values() if _is_open(states[job.id], retry_failed=retry_failed)]
@@ -170,12 +173,17 @@ def resume(
         count = sum(_is_open(states[job.id], retry_failed=retry_failed) for job in sweep.everything)
         total = runs(len(sweep.everything))
         console.print(f"{sweep.experiment} ({sweep.variant}): {count} of {total} to go", soft_wrap=True)
-    assigned = [_assignment(job, states[job.id], _threads(layout, job), fresh=False) for job in chosen]
+    gone = unconfigured(layout, chosen)
+    for command in remaking_commands(layout, sweeps, gone, states):
+        console.print(f"configurations are missing; this makes them, and the runs: {command}", soft_wrap=True)
+    assigned = [
+        _assignment(job, states[job.id], _threads(layout, job), fresh=False) for job in chosen if job.id not in gone
+    ]
     require_trust(results, _code(layout, chosen), trust=trust, asks=_asks())
     slots = workers or _default_slots(job.threads for job in assigned)
     code = _run(console, layout, assigned, slots, memory, hang_after)
     drain(console.file)
-    finish(layout, code, sweeps, damaged=bool(damage))
+    finish(layout, code, sweeps, damaged=bool(damage or gone))
 
 
 def _default_slots(threads: Iterable[int]) -> int:

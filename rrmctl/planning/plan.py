@@ -212,7 +212,7 @@ def _added(priors: Sequence[str], known: Mapping[str, Method]) -> dict[str, Meth
         if before is not None and before.prior != new.prior:
             raise UserError(
                 f"--prior {prior}: {new.name} already stands for the prior {before.prior}",
-                "rename the file: a method is named after it",
+                "rename the function: the method is named after it",
             )
         added[new.name] = before or new
     return added

@@ -21,6 +21,7 @@ from enum import IntEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol, TypeVar
 
+from rrmctl.commands import rrmctl
 from rrmctl.errors import UserError
 from rrmctl.running.lifeline import Leave, Pipe, StopRequest, say
 from rrmctl.running.monitor import RunMonitor
@@ -32,6 +33,7 @@ from rrmctl.store.reader import read_config
 from rrmctl.store.records import ErrorKind, RunError, State, Status, read_status, write_status
 from rrmctl.store.schema import IDENTITY
 from rrmctl.store.writer import CurveWriter
+from rrmctl.streams import attend
 
 if TYPE_CHECKING:
     from rrm.training.config import RunConfig
@@ -250,7 +252,7 @@ def _reason(folder: RunFolder, error: Exception) -> tuple[WorkerExit, RunError]:
         error = atomic.storage_error(Path(error.filename or folder.path), error, "read or write")
     name = type(error).__name__
     if isinstance(error, atomic.StorageError):
-        message = f"{error} ({error.todo}, then `rrmctl resume` goes on)"
+        message = f"{error} ({error.todo}, then `{rrmctl('resume', results=folder.results)}` goes on)"
         return WorkerExit.STORAGE, RunError(kind=ErrorKind.STORAGE, type=name, message=message)
     if isinstance(error, MissingFileError):
         return WorkerExit.MISSING, RunError(kind=ErrorKind.MISSING, type=name, message=_told(error))
@@ -275,4 +277,5 @@ def _log(text: str) -> None:
 
 
 if __name__ == "__main__":
+    attend()
     sys.exit(main())

@@ -6,14 +6,15 @@ import zlib
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from rrmctl.commands import rrmctl
 from rrmctl.store import shape
 from rrmctl.store.atomic import DamagedError
+from rrmctl.store.layout import RunFolder
 from rrmctl.store.schema import CHECKSUM_KEY, IDENTITY, VERSION_KEY, curve_schema
 
 if TYPE_CHECKING:
     import pyarrow as pa
 
-_AGAIN = "bring back a copy, or train the run again with --force"
 #: Settings that read quickest at a few hundred rows; thousands of such files are read at a time.
 SETTINGS = {"compression": "snappy", "use_dictionary": False, "write_statistics": False, "write_page_checksum": True}
 
@@ -41,6 +42,7 @@ def decode(data: bytes, path: Path) -> pa.Table:
     import pyarrow as pa
     import pyarrow.parquet as pq
 
+    again = f"bring back a copy, or train the run again: {rerunning(RunFolder(path.parent))}"
     try:
         file = pq.ParquetFile(pa.BufferReader(data), page_checksum_verification=True)
         metadata = file.schema_arrow.metadata or {}
@@ -48,13 +50,18 @@ def decode(data: bytes, path: Path) -> pa.Table:
         table: pa.Table = file.read(use_threads=False)  # callers read many files at a time
         found = _checksum(table)
     except (pa.ArrowException, OSError, ValueError, TypeError) as error:  # TypeError: a text that is missing
-        raise DamagedError(f"{path} is damaged: {error}", _AGAIN) from error
-    shape.check_version({"schema_version": version}, path, _AGAIN)
+        raise DamagedError(f"{path} is damaged: {error}", again) from error
+    shape.check_version({"schema_version": version}, path, again)
     if not table.schema.equals(curve_schema()):
-        raise DamagedError(f"{path} is damaged: its columns are not those of a curve", _AGAIN)
+        raise DamagedError(f"{path} is damaged: its columns are not those of a curve", again)
     if metadata.get(CHECKSUM_KEY) != found:
-        raise DamagedError(f"{path} is damaged: its content does not match its checksum", _AGAIN)
+        raise DamagedError(f"{path} is damaged: its content does not match its checksum", again)
     return table
+
+
+def rerunning(folder: RunFolder) -> str:
+    """Where the command is said that trains a run again."""
+    return f"`{rrmctl('show', folder.id, results=folder.results)}` says how"
 
 
 def _checksum(table: pa.Table) -> bytes:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from rrm.files import read_bounded
 from rrmctl.store.atomic import DamagedError, unreadable
-from rrmctl.store.curve import LARGEST
+from rrmctl.store.curve import LARGEST, rerunning
 from rrmctl.store.frame import NUMBER, TEXT, WHOLE, frame, typed
 from rrmctl.store.layout import RunFolder
 from rrmctl.store.reader import new_results
@@ -45,14 +45,14 @@ def _read(folder: RunFolder) -> pd.DataFrame:
     import pyarrow as pa
     import pyarrow.parquet as pq
 
-    hint = "train the run again with --force, or remove the file"
+    hint = f"remove the file, or train the run again: {rerunning(folder)}"
     try:
         data = read_bounded(folder.gradients, LARGEST)
     except OSError as error:
         raise unreadable(folder.gradients, error) from error
     try:
         file = pq.ParquetFile(pa.BufferReader(data), page_checksum_verification=True)
-        norms: pd.DataFrame = file.read().to_pandas()
+        norms: pd.DataFrame = file.read(use_threads=False).to_pandas(use_threads=False)
         if tuple(norms.columns) != _COLUMNS:
             raise ValueError(f"its columns are {', '.join(norms.columns)}")
         return typed(norms.assign(run=folder.id)[list(_KINDS)], _KINDS)

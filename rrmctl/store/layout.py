@@ -46,6 +46,11 @@ class RunFolder:
         return self.path.name
 
     @property
+    def results(self) -> Path:
+        """The results root that it lies in."""
+        return self.path.parent.parent
+
+    @property
     def config(self) -> Path:
         """Written once, before the run starts."""
         return self.path / "config.json"

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import rrm
+from rrmctl.errors import UserError
 from rrmctl.machine import cpu_model
 from rrmctl.store import shape
 from rrmctl.store.atomic import DamagedError, read_json, write_json
@@ -95,6 +96,15 @@ def _check(known: Mapping[str, Any]) -> None:
     for entry in known.get("resumed", ()):
         for _before, _after in entry["changes"].values():
             pass
+
+
+def asked_by(folder: RunFolder) -> list[str]:
+    """The command that asked for the run's first attempt; empty where that is not known."""
+    try:
+        known = read_provenance(folder) or {}
+    except UserError:
+        return []
+    return list(map(str, known.get("argv", [])))
 
 
 def record(folder: RunFolder, now: Provenance) -> list[str]:

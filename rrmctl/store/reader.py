@@ -6,15 +6,15 @@ import dataclasses
 import json
 import os
 from collections.abc import Iterable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rrm.files import open_regular, place, read_bounded
+from rrmctl.commands import rrmctl
 from rrmctl.errors import UserError
 from rrmctl.store import shape
 from rrmctl.store.atomic import DamagedError, StorageError, is_locked, read_json, unreadable
-from rrmctl.store.curve import LARGEST, decode
+from rrmctl.store.curve import LARGEST, decode, rerunning
 from rrmctl.store.frame import TEXT, WHOLE, frame, typed
 from rrmctl.store.layout import Layout, RunFolder
 from rrmctl.store.records import ErrorKind, RunError, State, Status, read_status
@@ -137,7 +137,7 @@ def read_curve(folder: RunFolder) -> pa.Table | None:
     if others:
         raise DamagedError(
             f"{path} is the curve of run {', '.join(sorted(others))}, not of {folder.id}",
-            "bring back its own, or train the run again with --force",
+            f"bring back its own, or train the run again: {rerunning(folder)}",
         )
     return table
 
@@ -223,7 +223,8 @@ def open_results(results: str | Path) -> Layout:
     """
     layout = new_results(results)
     if not layout.root.is_dir():
-        raise UserError(f"there is no results folder {layout.root}", "`rrmctl run` makes one; --results names another")
+        begin = rrmctl("run", "quickstart", results=layout.root)
+        raise UserError(f"there is no results folder {layout.root}", f"`{begin}` makes one; --results names another")
     return layout
 
 
@@ -253,7 +254,7 @@ def find_sweeps(layout: Layout, experiment: str) -> list[SweepRecord]:
         raise UserError(
             f"{layout.root} holds no runs of {experiment!r}; it holds: {', '.join(known) or 'nothing yet'}"
             f"{nearest(experiment, known)}",
-            f"start it with `rrmctl run {experiment}`, or name another folder with --results",
+            "`rrmctl list` names what there is to run; or name another folder with --results",
         )
     return sweeps
 
@@ -265,14 +266,18 @@ def find_run(layout: Layout, prefix: str) -> RunFolder:
         UserError: none does, or several do, or `prefix` is empty.
     """
     if not prefix:
-        raise UserError("no run was named", "give its id or the first digits of it; `rrmctl status --failed` lists ids")
+        raise UserError("no run was named", f"give its id or the first digits of it; {_ids(layout)}")
     matches = [run for run in layout.run_ids() if run.startswith(prefix)]
     if len(matches) == 1:
         return layout.run(matches[0])
     if not matches:
-        raise UserError(f"no run in {layout.root} starts with {prefix!r}", "`rrmctl status --failed` lists ids")
+        raise UserError(f"no run in {layout.root} starts with {prefix!r}", _ids(layout))
     shown = ", ".join(matches[:8]) + (", ..." if len(matches) > 8 else "")
     raise UserError(f"{prefix!r} stands for {len(matches)} runs: {shown}", "give more digits")
+
+
+def _ids(layout: Layout) -> str:
+    return f"ids are the names of the folders in {layout.root / 'runs'}"
 
 
 def _planned_row(sweep: SweepRecord, job: JobRecord, status: Status) -> tuple[Any, ...]:
@@ -300,8 +305,6 @@ def _curves(layout: Layout, runs: Sequence[str]) -> pd.DataFrame:
     """`run` and the measured columns of all these runs."""
     import pyarrow as pa
 
-    # Threads: parsing frees the interpreter, and on network disks the waiting counts most.
-    with ThreadPoolExecutor(max_workers=8) as threads:
-        tables = [table for table in threads.map(lambda run: read_curve(layout.run(run)), runs) if table is not None]
+    tables = [table for run in runs if (table := read_curve(layout.run(run))) is not None]
     curves: pa.Table = pa.concat_tables([curve_schema().empty_table(), *tables])
-    return typed(curves.select(["run", *MEASURED]).to_pandas())
+    return typed(curves.select(["run", *MEASURED]).to_pandas(use_threads=False))

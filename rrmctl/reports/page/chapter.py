@@ -7,6 +7,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
+from rrmctl.commands import rrmctl
 from rrmctl.errors import UserError
 from rrmctl.reports.figures import figures
 from rrmctl.reports.kinds import kinds
@@ -108,7 +109,7 @@ def _figures(section: Section, name: str, settings: Settings) -> Part:
         module = entry.load()
         if not module.suits(section):
             continue
-        caption = f"{entry.help.splitlines()[0]} (rrmctl plot --figure {figure})"
+        caption = f"{entry.help.splitlines()[0]} ({rrmctl('plot', section.experiment, '--figure', figure)})"
         try:
             drawn = module.draw(section, settings)
         except UserError as error:

@@ -7,7 +7,7 @@ import shlex
 from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING
 
-from rrmctl.commands import run_command
+from rrmctl.commands import run_commands
 from rrmctl.reports.accounts import GROUP, common_settings, differing_settings, makings, spending, total
 from rrmctl.reports.page.html import Html, element, joined
 from rrmctl.reports.page.tables import Column, of_rows
@@ -134,14 +134,13 @@ def _makings(runs: Sequence[Run]) -> Html:
 
 
 def _commands(runs: Sequence[Run]) -> Html:
-    """The commands that the runs were asked for with; one that asks for all of the plan where none is recorded."""
+    """The commands that the runs were asked for with; those that ask for all of the plan where none is recorded."""
     asked = [shlex.join(run.provenance["argv"]) for run in runs if run.provenance and run.provenance.get("argv")]
-    told = "As they were typed; given again, each trains what is missing." if asked else "This trains what is missing."
-    return joined([element("p", told), element("pre", "\n".join(dict.fromkeys(asked or [_whole_plan(runs)])))])
+    told = "As they were typed; given again, each trains what is missing." if asked else "These train what is missing."
+    return joined([element("p", told), element("pre", "\n".join(dict.fromkeys(asked or _whole_plan(runs))))])
 
 
-def _whole_plan(runs: Sequence[Run]) -> str:
+def _whole_plan(runs: Sequence[Run]) -> list[str]:
     plan = runs[0].plan
-    tasks, methods, seeds = ([run.plan[name] for run in runs] for name in ("task", "method", "seed"))
-    overrides = json.loads(plan["overrides"])
-    return run_command(plan["experiment"], plan["profile"], overrides, tasks=tasks, methods=methods, seeds=seeds)
+    wanted = [(run.plan["task"], run.plan["method"], run.plan["seed"]) for run in runs]
+    return run_commands(plan["experiment"], plan["profile"], json.loads(plan["overrides"]), wanted)

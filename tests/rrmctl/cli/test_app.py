@@ -119,6 +119,11 @@ def test_interruption() -> None:
     assert raising(KeyboardInterrupt()).exit_code == 130
 
 
+def test_a_question_that_nobody_answers() -> None:
+    """The end of standard input is no failed job: nothing was begun, and the same command goes on."""
+    assert raising(typer.Abort()).exit_code == 75
+
+
 def test_plain_where_nobody_looks(tmp_path: Path) -> None:
     """No colour codes in a pipe."""
     command = [

@@ -465,7 +465,7 @@ def test_a_full_disk_in_the_middle_of_a_write(tmp_path: Path) -> None:
         result = call("run", *sweep, "--results", small)
         assert result.exit_code == 75, result.output
         assert "No space left on device" in result.stderr
-        assert "make space, then `rrmctl resume` goes on" in " ".join(result.stderr.split())
+        assert f"make space, then `rrmctl resume --results {small}` goes on" in " ".join(result.stderr.split())
         assert "Traceback" not in result.output
         assert call("status", "--results", small).exit_code == 0
         before = load(small, "toy-car")
