@@ -49,7 +49,8 @@ def _commands(layout: Layout, sweep: SweepRecord, jobs: Sequence[JobRecord], opt
     from rrmctl.store.provenance import asked_by
 
     asked = [asked_by(layout.run(job.id)) for job in sweep.jobs]
-    asked.append([sweep.experiment, *_priors(sweep.experiment, sorted({job.method for job in jobs}))])
+    named = sweep.priors or _priors(sweep.experiment, sorted({job.method for job in jobs}))
+    asked.append([sweep.experiment, *(word for prior in named for word in ("--prior", prior))])
     wanted = [(job.task, job.method, job.seed) for job in jobs]
     return run_commands(
         sweep.experiment, sweep.profile, sweep.overrides, wanted, asked=asked, options=options, results=layout.root
@@ -57,7 +58,10 @@ def _commands(layout: Layout, sweep: SweepRecord, jobs: Sequence[JobRecord], opt
 
 
 def _priors(experiment: str, methods: Iterable[str]) -> list[str]:
-    """The --prior options for methods that are not in the experiment's manifest and whose names say their prior."""
+    """The priors of methods that are not in the experiment's manifest and whose names say their prior.
+
+    Records of earlier programs do not say which --prior there was.
+    """
     from rrmctl.planning.experiments import find
     from rrmctl.planning.grid import rows_of
     from rrmctl.planning.manifest import load
@@ -68,4 +72,4 @@ def _priors(experiment: str, methods: Iterable[str]) -> list[str]:
     except UserError:
         return []
     priors = {method: grammar().get(method, ("", None))[1] for method in methods if method not in own}
-    return [word for method, prior in priors.items() if method == f"rrm-{prior}" for word in ("--prior", str(prior))]
+    return [str(prior) for method, prior in priors.items() if method == f"rrm-{prior}"]

@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from rrmctl.errors import UserError
-from rrmctl.reports.kinds import kinds
+from rrmctl.reports.kinds import explained, kinds
 
 
 def explain(
@@ -20,14 +20,11 @@ def explain(
 
     from rrmctl.planning.manifest import nearest
     from rrmctl.reports.render import console_for
-    from rrmctl.reports.words import EXPLAINED
 
     known = kinds()
     if table not in (None, *known):
         raise UserError(f'there is no table "{table}"{nearest(str(table), known)}', f"there are: {', '.join(known)}")
-    own = {name: entry.load().EXPLAINED for name, entry in known.items() if table in (None, "all", name)}
     console = console_for()
-    for title, sentences in (own | {"all tables": EXPLAINED}).items():
-        if sentences:
-            console.print(Text(title, style="bold"))
-            console.print(*map(Text, sentences), "", sep="\n")
+    for title, sentences in explained(table).items():
+        console.print(Text(title, style="bold"))
+        console.print(*map(Text, sentences), "", sep="\n")

@@ -207,7 +207,7 @@ def _record(console: Console, layout: Layout, plan: Plan) -> SweepRecord:
     known = read_sweep(path)
     asked = SweepRecord(
         experiment=plan.experiment, variant=plan.variant, profile=plan.profile, overrides=plan.overrides,
-        jobs=tuple(map(job_record, plan.jobs)), needed=tuple(map(job_record, plan.needed)),
+        jobs=tuple(map(job_record, plan.jobs)), needed=tuple(map(job_record, plan.needed)), priors=plan.priors,
     )  # fmt: skip
     notes = [damage, *_configure(layout, plan.everything)]
     late = set(record_sweep(layout, asked).superseded) - set(known.superseded if known else ())

@@ -153,8 +153,8 @@ def configurations(label: Label, rows: pd.DataFrame) -> UserError | None:
     which = "; ".join(f"{cell} (seeds {', '.join(map(str, seeds))})" for cell, seeds in cells.items())
     return UserError(
         f"{label}: its runs were made with {len(cells)} different configurations and cannot be averaged: {which}",
-        "settings or files changed between two `rrmctl run`s; `rrmctl show RUN` tells the difference. Run it once more "
-        f"as you did last, with all these seeds: --seeds {','.join(map(str, sorted(set(rows['seed']))))}; "
+        "settings or files changed from one sweep to the next; `rrmctl show RUN` tells the difference. Run it once "
+        f"more as you did last, with all these seeds: --seeds {','.join(map(str, sorted(set(rows['seed']))))}; "
         "what was made otherwise is then left out",
     )
 

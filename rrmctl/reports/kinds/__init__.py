@@ -15,3 +15,11 @@ from rrmctl.reports.shelf import Entry, entries
 def kinds() -> dict[str, Entry]:
     """The tables, by name."""
     return entries(__file__, __name__)
+
+
+def explained(table: str | None = None) -> dict[str, tuple[str, ...]]:
+    """Sentences that hold of a table, or of every one, by its name, and those that hold of all."""
+    from rrmctl.reports.words import EXPLAINED
+
+    own = {name: entry.load().EXPLAINED for name, entry in kinds().items() if table in (None, "all", name)}
+    return {title: sentences for title, sentences in (own | {"all tables": EXPLAINED}).items() if sentences}

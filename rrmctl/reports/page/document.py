@@ -17,6 +17,7 @@ import rrm
 from rrmctl.errors import UserError
 from rrmctl.reports import names as asked
 from rrmctl.reports.accounts import total
+from rrmctl.reports.kinds import explained
 from rrmctl.reports.page.chapter import Part, Variant, chapter, tables_at
 from rrmctl.reports.page.gather import SEVERAL, gather
 from rrmctl.reports.page.html import Html, element, joined
@@ -60,6 +61,7 @@ def build(
         Part("overview", "Overview", _overview(variants)),
         *(chapter(each, gathered, settings) for each in variants),
         *([replace(common, title="Across experiments")] if common.body else ()),
+        Part("explained", "How to read the tables", joined(_explained()), folded=True),
     ]
     made = _made(_command(results, experiments, profile, settings, allow_mixed))
     return _whole(f"Report: {', '.join(names)}", parts, made)
@@ -104,6 +106,12 @@ def _command(
     words += [] if settings.kind == DEFAULTS.kind else ["--iqm", settings.kind]
     words += [] if settings.replicates == DEFAULTS.replicates else ["--replicates", str(settings.replicates)]
     return shlex.join([*words, *(["--allow-mixed"] if allow_mixed else [])])
+
+
+def _explained() -> Iterator[Html]:
+    for title, sentences in explained().items():
+        yield element("h3", title)
+        yield element("ul", *(element("li", sentence) for sentence in sentences))
 
 
 def _made(command: str) -> Html:

@@ -145,7 +145,8 @@ def test_damage_and_its_way_out(folder: Path) -> None:
 def test_runs_whose_folder_was_removed(folder: Path, asked: str) -> None:
     """One command makes their configurations and trains them; methods of --prior and a manifest elsewhere included."""
     shutil.move(folder / "experiments" / "toy-car.toml", folder / "my car.toml".replace(" ", "-"))
-    first = "rrmctl run my-car.toml --profile smoke --methods oracle --prior proxy --seeds 2 --workers 1"
+    (folder / "my own.py").write_text("def mine(step):\n    return 0.0\n")
+    first = "rrmctl run my-car.toml --profile smoke --methods oracle --prior proxy --prior 'my own.py:mine' --seeds 1"
     code, told = typed(f"{first} --results {QUOTED}")
     assert code == 0, told
     gone, *_ = Layout(folder / RESULTS).run_ids()
