@@ -20,13 +20,16 @@ import torch
 
 from rrm import tensors
 from rrm.errors import CheckpointError, ConfigError, MissingResultError, NumericalError
-from rrm.files import naming, sync_folder, write_atomically
+from rrm.files import UnfitFileError, naming, read_bounded, sync_folder, write_atomically
 from rrm.types import State
 
 #: Of the layout written here; another version is refused with its number.
 FORMAT = 3
 KEPT = 2  #: newest checkpoints that stay
 _TREE = "tree"  # entry of the header
+_LARGEST_MARKER = 1 << 16  # bytes
+#: What comes of a marker that says something else.
+_ODD = (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError)
 _BLOCK = 1 << 22  # bytes of a log in memory while it is read back
 
 
@@ -236,13 +239,13 @@ class Checkpoints:
 
     def _read(self, marker: Path) -> tuple[int, State]:
         try:
-            told = json.loads(marker.read_bytes())
+            told = json.loads(read_bounded(marker, _LARGEST_MARKER))
             seal = told.pop("checksum", None)
             version, step, size, crc = (int(told[key]) for key in ("format", "step", "size", "crc32"))
             if version != 1 and seal != _seal(told):  # the first format had none
                 raise CheckpointError("damaged (its marker does not match its checksum)")
-            data = marker.with_suffix(".safetensors").read_bytes()
-        except (FileNotFoundError, ValueError, KeyError, TypeError, AttributeError) as error:
+            data = read_bounded(marker.with_suffix(".safetensors"), size)
+        except (FileNotFoundError, UnfitFileError, *_ODD) as error:
             raise CheckpointError(f"unreadable ({error})") from error
         if version != FORMAT:
             raise ConfigError(

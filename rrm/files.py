@@ -9,25 +9,33 @@ import secrets
 import stat
 from collections.abc import Iterator
 from pathlib import Path
+from typing import BinaryIO
+
+
+class UnfitFileError(OSError):
+    """What bears a file's name is a folder, pipe, device or socket, or larger than such a file can be."""
+
+
+def open_regular(path: Path) -> BinaryIO:
+    """Open a regular file to be read. A pipe, which may have no end, is not waited for.
+
+    Raises:
+        UnfitFileError: it is something else.
+        OSError: there is none, or it cannot be read.
+    """
+    descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
+    if not stat.S_ISREG(os.fstat(descriptor).st_mode):
+        os.close(descriptor)
+        raise UnfitFileError(errno.EINVAL, "not a regular file", str(path))
+    return os.fdopen(descriptor, "rb")
 
 
 def read_bounded(path: Path, limit: int) -> bytes:
-    """The content of a regular file of at most `limit` bytes.
-
-    Raises:
-        OSError: it cannot be read, is larger, or is a pipe, a device or a folder, from which nothing is then read.
-    """
-    descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK)  # a pipe would wait for a writer
-    try:
-        if not stat.S_ISREG(os.fstat(descriptor).st_mode):
-            raise OSError(errno.EINVAL, "not a regular file", str(path))
-        with os.fdopen(descriptor, "rb", closefd=False) as file:
-            data = file.read(limit + 1)
-    finally:
-        os.close(descriptor)
-    if len(data) > limit:
-        raise OSError(errno.EFBIG, f"longer than {limit:,} bytes", str(path))
-    return data
+    """The content of a regular file of at most `limit` bytes. Raises as `open_regular`, and for a larger one."""
+    with open_regular(path) as file:
+        if os.fstat(file.fileno()).st_size > limit:
+            raise UnfitFileError(errno.EFBIG, f"longer than {limit:,} bytes", str(path))
+        return file.read()  # with a number, Python would set that much memory aside
 
 
 def place(path: str | Path) -> Path:
@@ -64,7 +72,7 @@ def replace(path: Path, data: bytes, *, durably: bool = False) -> None:
         OSError: as `write_atomically`.
     """
     # Processes of two machines or containers can have one number, and threads of one process do.
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.{secrets.token_hex(4)}.tmp")
+    temporary = path.parent / f".{path.name}.{os.getpid()}.{secrets.token_hex(4)}.tmp"
     with naming(path):
         try:
             with temporary.open("xb") as file:

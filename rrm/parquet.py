@@ -15,7 +15,7 @@ from dataclasses import astuple, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from rrm.files import write_atomically
+from rrm.files import UnfitFileError, read_bounded, write_atomically
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -25,6 +25,7 @@ KEPT_S = 10.0
 
 _KEY = b"rrm.pages"
 _MAGIC = b"PAR1"
+_LARGEST = 2**30  # bytes of a file whose readers are looked after
 
 
 @dataclass(frozen=True)
@@ -47,7 +48,10 @@ def write_table(path: Path, table: pa.Table, **settings: Any) -> None:
     Raises:
         OSError: no space, no permission; the error names `path`, and the old file is untouched.
     """
-    before = path.read_bytes() if path.exists() else b""
+    try:
+        before = read_bounded(path, _LARGEST)
+    except (FileNotFoundError, UnfitFileError):
+        before = b""
     if not _holds(before, table):
         write_atomically(path, encode(table, before, **settings))
 
@@ -61,7 +65,7 @@ def _holds(file: bytes, table: pa.Table) -> bool:
         held = pq.ParquetFile(pa.BufferReader(file), page_checksum_verification=True)
         if held.metadata.num_rows != table.num_rows:
             return False
-        rows = held.read()
+        rows = held.read(use_threads=False)
     except (pa.ArrowException, OSError, ValueError):
         return False
     told = {key: value for key, value in (rows.schema.metadata or {}).items() if key != _KEY}
@@ -97,7 +101,7 @@ def _kept(before: bytes) -> list[Pages]:
     try:
         told = (pq.read_metadata(pa.BufferReader(before)).metadata or {})[_KEY]
         places = [Pages(*each) for each in json.loads(told)]
-    except (pa.ArrowException, OSError, ValueError, TypeError, KeyError):
+    except (pa.ArrowException, OSError, ValueError, TypeError, KeyError, RecursionError):
         return []  # none, a damaged one, or another program's: nobody can have begun to read it as one of these
     kept = [Pages(each.start, each.end, each.replaced or now) for each in places]
     young = [each for each in kept if each.replaced is not None and abs(now - each.replaced) < KEPT_S]

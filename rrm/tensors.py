@@ -41,7 +41,7 @@ def decode(data: bytes, entry: str) -> tuple[dict[str, np.ndarray[Any, Any]], di
         arrays = safetensors.numpy.load(data)
         header = int.from_bytes(data[:8], "little")
         told = json.loads(json.loads(data[8 : 8 + header])["__metadata__"][entry])
-    except (safetensors.SafetensorError, KeyError, TypeError) as error:
+    except (safetensors.SafetensorError, KeyError, TypeError, RecursionError) as error:
         raise ValueError(str(error)) from error
     if not isinstance(told, dict):
         raise ValueError(f"{entry} is no object")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import fcntl
 import os
 import platform
+import shlex
 import shutil
 import subprocess
 import sys
@@ -16,6 +17,7 @@ from pathlib import Path
 from typing import Literal
 
 from rrm.precision import extensions
+from rrm.process import environment
 from rrmctl.errors import UserError
 from rrmctl.machine import cpu_model, usable_cores
 from rrmctl.planning.experiments import SHIPPED, available
@@ -30,7 +32,7 @@ _RENDER = (
     "d=m.MjData(k); r=m.Renderer(k,8,8); r.update_scene(d); r.render(); r.close()"
 )
 _SIMULATE = "import mujoco, metaworld, dm_control.suite, gymnasium, torch"
-_MESA = "apt-get install libegl1 libegl-mesa0 libgl1-mesa-dri (or libosmesa6)"
+_MESA = "apt-get install libegl1 libegl-mesa0 libgl1-mesa-dri; or: apt-get install libosmesa6"
 
 
 @dataclass(frozen=True)
@@ -96,7 +98,7 @@ def package(name: str, specifier: str, *, needed: bool) -> Check:
     from packaging.specifiers import SpecifierSet
 
     state: Literal["note", "missing"] = "missing" if needed else "note"
-    fix = f"{Path(sys.executable).name} -m pip install '{name}{specifier}'"
+    fix = shlex.join([sys.executable, "-m", "pip", "install", f"{name}{specifier}"])
     try:
         version = metadata.version(name)
     except metadata.PackageNotFoundError:
@@ -108,7 +110,7 @@ def package(name: str, specifier: str, *, needed: bool) -> Check:
 
 def simulators() -> Check:
     """Do the simulators and torch load? Installed is not enough: their compiled parts may miss a library."""
-    problem = _try(_SIMULATE, MUJOCO_GL="disabled")
+    problem = _try(_SIMULATE)
     if problem is None:
         return Check("simulators", "ok", "mujoco, Meta-World, DM-Control and torch load")
     return Check("simulators", "missing", problem, "reinstall: pip install --force-reinstall the package it names")
@@ -121,9 +123,7 @@ def processor() -> Check:
 
 def threads() -> Check:
     """Workers set their own limits; a limit in the environment of this shell does not matter to them."""
-    names = [name for name in ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS") if name in os.environ]
-    inherited = ", ".join(f"{name}={os.environ[name]}" for name in names) or "no limit set in this shell"
-    return Check("threads", "ok", f"one per worker; {inherited}")
+    return Check("threads", "ok", "one per worker, whatever is set in this shell")
 
 
 def precision(cpuinfo: Path = Path("/proc/cpuinfo")) -> Check:
@@ -180,13 +180,13 @@ def rendering(backends: tuple[str, ...] = ("egl", "osmesa")) -> Check:
     return Check("rendering", "note", f"none ({reasons}); state-based runs need none", _MESA)
 
 
-def _try(code: str, **environment: str) -> str | None:
+def _try(code: str, **variables: str) -> str | None:
     """The last line of what a fresh Python says about `code`; None where it runs."""
-    # Importing a simulator writes PYOPENGL_PLATFORM, and a child that inherits it cannot choose another backend.
-    variables = {name: value for name, value in os.environ.items() if name != "PYOPENGL_PLATFORM"} | environment
-    command = [sys.executable, "-P", "-W", "ignore", "-c", code]
+    command = [sys.executable, "-W", "ignore", "-c", code]
     try:
-        done = subprocess.run(command, env=variables, capture_output=True, text=True, timeout=120, check=False)
+        done = subprocess.run(
+            command, env=environment() | variables, capture_output=True, text=True, timeout=120, check=False
+        )
     except subprocess.TimeoutExpired:
         return "gave no answer within two minutes"
     if done.returncode == 0:

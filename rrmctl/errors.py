@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 from enum import IntEnum
 
 
@@ -23,6 +24,27 @@ class UserError(Exception):
     def __init__(self, message: str, hint: str | None = None) -> None:
         super().__init__(message)
         self.hint = hint
+
+
+class RoomError(UserError):
+    """The system gives this process no more memory, threads or open files."""
+
+    def __init__(self, what: str) -> None:
+        super().__init__(f"there are no more {what}", "end other programs, or raise the limit that `ulimit -a` shows")
+
+
+def room_error(error: BaseException) -> RoomError | None:
+    """What an error says that comes of too little room; None for all other errors."""
+    number = error.errno if isinstance(error, OSError) else None
+    text = str(error).lower()
+    if number in (errno.EMFILE, errno.ENFILE):
+        return RoomError("open files")
+    if number == errno.EAGAIN or "can't start new thread" in text:
+        return RoomError("threads or processes")
+    unmapped = "failed to map segment" in text or "cannot allocate memory" in text  # of a library that is loaded
+    return (
+        RoomError("pages of memory") if isinstance(error, MemoryError) or number == errno.ENOMEM or unmapped else None
+    )
 
 
 def shown(value: object, most: int = 200) -> str:

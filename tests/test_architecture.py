@@ -35,7 +35,9 @@ KNOW_RRM = {
     "cli.prior",  # candidates of a language model become priors of the library
 }
 #: Light, and the one place for what they say: the version, tasks and how they are scored, errors, files, arithmetic.
-FACTS = {"rrm", "rrm.envs.tasks", "rrm.errors", "rrm.files", "rrm.parquet", "rrm.precision", "rrm.toml"}
+FACTS = {
+    *("rrm", "rrm.envs.tasks", "rrm.errors", "rrm.files", "rrm.parquet", "rrm.precision", "rrm.process", "rrm.toml")
+}
 
 #: Floors of `rrm`: a module imports from floors below its own, or from its own package.
 FLOORS = {
@@ -130,6 +132,12 @@ def test_few_modules_of_the_program_know_the_library() -> None:
         if module.startswith("rrmctl") and any(i.split(".")[0] == "rrm" for i in ours(module) - FACTS)
     }
     assert knowing == KNOW_RRM
+
+
+def test_python_is_started_in_one_way() -> None:
+    """Whoever starts a process gives it the environment of `rrm.process`: no file that lies around is a module."""
+    starting = {name for name in MODULES if "subprocess" in imports(name)} - {"rrmctl.running.pool"}
+    assert starting == {name for name in MODULES if "rrm.process" in imports(name)} - {"rrmctl.cli.app"}
 
 
 def test_statistics_stand_alone() -> None:
@@ -266,3 +274,16 @@ def test_profiles_speak_of_what_exists() -> None:
     for name, table in tomllib.loads(profiles.PATH.read_text()).items():
         assert set(table.get("suite", {})) <= suites, name
         assert set(table.get("task", {})) <= set(TASKS), name
+
+
+def test_arrow_starts_no_threads() -> None:
+    """A thread of Arrow's that is still at work when the process ends aborts it: what reads or converts says so."""
+    calls = {
+        f"{name}: {ast.unparse(node)}"
+        for name, path in MODULES.items()
+        for node in ast.walk(ast.parse(path.read_text()))
+        if isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute) and "pyarrow" in path.read_text()
+        and (node.func.attr == "to_pandas" or (node.func.attr == "read" and "file.read()" not in ast.unparse(node)))
+        and "use_threads" not in {keyword.arg for keyword in node.keywords}
+    }  # fmt: skip
+    assert calls == set()

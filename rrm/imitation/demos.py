@@ -18,7 +18,7 @@ import numpy.typing as npt
 
 from rrm import tensors
 from rrm.errors import DemosError
-from rrm.files import place, write_atomically
+from rrm.files import UnfitFileError, place, read_bounded, write_atomically
 
 if TYPE_CHECKING:
     from rrm.envs.tasks import Task
@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 
 FORMAT = "rrm-demonstrations-1"
 _ENTRY = "demonstrations"
+_LARGEST = 2**34  # bytes
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -72,8 +73,8 @@ class Demonstrations:
             OSError: it cannot be read now, which says nothing about what it holds.
         """
         try:
-            arrays, told = tensors.decode(place(path).read_bytes(), _ENTRY)
-        except (FileNotFoundError, NotADirectoryError, IsADirectoryError, ValueError) as error:
+            arrays, told = tensors.decode(read_bounded(place(path), _LARGEST), _ENTRY)
+        except (FileNotFoundError, NotADirectoryError, UnfitFileError, ValueError) as error:
             raise DemosError(f"{path} cannot be read as demonstrations: {error}") from error
         provenance = told.get("provenance")
         if told.get("format") != FORMAT or not isinstance(provenance, dict):

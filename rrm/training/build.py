@@ -196,6 +196,6 @@ def result_of(results: Results, run: str | None, name: str) -> Path:
     """
     if run is None or run not in results:
         raise MissingResultError(
-            f"{name} of the run {run} is needed first; `rrmctl run` plans and makes what an experiment needs"
+            f"{name} of the run {run} is needed first; `rrmctl run NAME` plans and makes what an experiment needs"
         )
     return results[run] / name

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-import contextlib
 import errno
-import re
+import itertools
+import os
 import signal
+import sys
+from pathlib import Path
 from typing import Annotated, Any
 
 import typer
@@ -13,8 +15,11 @@ from typer.core import TyperGroup
 
 import rrm
 from rrm.errors import RrmError
-from rrmctl.cli import clean, demos, export, inspect, page, prior, report, run, show, state
-from rrmctl.errors import Exit, UserError
+from rrm.process import environment
+from rrmctl.cli import clean, demos, explain, export, inspect, page, prior, report, run, show, state
+from rrmctl.errors import Exit, UserError, room_error
+from rrmctl.streams import UndeliveredError, attend
+from rrmctl.terminal import console
 
 #: Conditions of the machine rather than bugs of the program.
 _MACHINE = {errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOSPC, errno.EDQUOT}
@@ -22,47 +27,71 @@ _MACHINE = {errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOSPC, errno.EDQUOT}
 #: Names that no file can have.
 _NAMES = {errno.ENAMETOOLONG, errno.ELOOP}
 
-_CONTROL = re.compile(r"[\x00-\x09\x0b-\x1f\x7f-\x9f]")
+
+#: Options that name a file or folder to be written to, or read.
+_PLACES = {"--results", "--experiments", "-o", "--output", "--into", "--prompt"}
+
+#: For what the libraries here do: a thread of each is enough, and none sets memory aside.
+_MODEST = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "ARROW_IO_THREADS"), "1") | {
+    "ARROW_DEFAULT_MEMORY_POOL": "system"
+}
 
 
 class _Commands(TyperGroup):
     """The group of all commands; what goes wrong for a reason the user can act on is said in one message."""
 
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        for option, value in itertools.pairwise(part for word in args for part in word.split("=", 1)):
+            if option in _PLACES and value == "":  # as a path it would be the folder here
+                _say(f"{option} is empty", "is a variable unset? . is the folder here")
+                raise typer.Exit(Exit.USAGE)
+        return super().parse_args(ctx, args)
+
     def invoke(self, ctx: Any) -> Any:  # the context is click's, or typer's copy of it, as its version has it
         try:
+            _stand_somewhere()
             return super().invoke(ctx)
-        except UserError as error:
-            _say(str(error), error.hint)
-            raise typer.Exit(error.code) from None
-        except RrmError as error:
-            _say(str(error), None)
-        except OSError as error:
-            if error.errno not in _MACHINE | _NAMES:
-                raise
-            hint = "free space or choose another --results DIR" if error.errno in _MACHINE else None
-            _say(f"{error.filename or 'the file system'}: {error.strerror}", hint)
         except KeyboardInterrupt:
             raise typer.Exit(Exit.INTERRUPTED) from None
-        raise typer.Exit(Exit.USAGE)
+        except typer.Abort:  # the end of standard input, where a question was asked
+            raise typer.Exit(Exit.INCOMPLETE) from None
+        except Exception as error:
+            told = _for_people(error)
+            if told is None:
+                raise
+            _say(str(told), told.hint)
+            raise typer.Exit(told.code) from None
+
+
+def _for_people(error: Exception) -> UserError | None:
+    """The message for an error that the user can act on; None for the others."""
+    match error:
+        case UserError():
+            return error
+        case RrmError():
+            return UserError(str(error))
+        case OSError(errno=number) if number in _MACHINE | _NAMES:
+            hint = "free space or choose another --results DIR" if number in _MACHINE else None
+            return UserError(f"{error.filename or 'the file system'}: {error.strerror}", hint)
+    return room_error(error)
+
+
+def _stand_somewhere() -> None:
+    """Nothing can be named from a folder that was removed."""
+    try:
+        Path.cwd()
+    except FileNotFoundError:
+        raise UserError("the folder this command runs in is gone", "change into one that is there") from None
 
 
 def _say(message: str, hint: str | None) -> None:
-    """Print to standard error: in colour where somebody looks at a terminal that wants it, plain text elsewhere.
-
-    Control characters of what was given are spelled out: they would be the terminal's to obey.
-    """
-    from rich.console import Console
+    """Print to standard error: in colour where somebody looks at a terminal that wants it, plain text elsewhere."""
     from rich.text import Text
 
-    console = Console(stderr=True, highlight=False, soft_wrap=True)
-    with contextlib.suppress(OSError):  # the exit code still tells
-        console.print(Text.assemble(("error: ", "bold red"), _spelled(message)))
-        if hint:
-            console.print(Text.assemble(("hint: ", "bold cyan"), _spelled(hint)))
-
-
-def _spelled(text: str) -> str:
-    return _CONTROL.sub(lambda sign: repr(sign[0])[1:-1], text)
+    error = console(stderr=True, highlight=False, soft_wrap=True)
+    error.print(Text.assemble(("error: ", "bold red"), message))
+    if hint:
+        error.print(Text.assemble(("hint: ", "bold cyan"), hint))
 
 
 app = typer.Typer(
@@ -106,6 +135,7 @@ _COMMANDS = (
 for _command in _COMMANDS:
     app.command(_command.__name__.rstrip("_"))(_command)  # list_ is the command `list`
 report.report_app.command("html")(page.html)
+report.report_app.command("explain")(explain.explain)
 app.add_typer(report.report_app, name="report")
 app.add_typer(prior.prior_app, name="prior")
 app.add_typer(demos.demos_app, name="demos")
@@ -113,8 +143,17 @@ app.add_typer(demos.demos_app, name="demos")
 
 def main() -> None:
     """The `rrmctl` program."""
+    attend(telling=True)
+    heeded = _MODEST | environment()
+    os.environ.clear()
+    os.environ.update(heeded)
     try:
         app()
+    except UndeliveredError as loss:
+        if loss.reason.errno == errno.EPIPE:  # whoever reads has what it wanted
+            sys.exit(Exit.DONE)
+        _say(f"standard output: {loss.reason.strerror}", "not all was printed; send it somewhere else")
+        sys.exit(Exit.USAGE)
     finally:  # how it ended is decided: a request to stop while Python winds up must not change the exit code
         for number in (signal.SIGTERM, signal.SIGINT):
             signal.signal(number, signal.SIG_IGN)

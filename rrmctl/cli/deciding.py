@@ -10,8 +10,8 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
-import typer
-
+from rrmctl.cli.screen import tell
+from rrmctl.commands import rrmctl
 from rrmctl.errors import Exit, UserError
 
 if TYPE_CHECKING:
@@ -90,7 +90,7 @@ def until_decided(layout: Layout, plan: Plan, rules: Rules, execute: Execute) ->
         sweep = part if sweep is None else sweep.union(part)
         done = all(status.state == "done" for status in statuses(layout, part.everything).values())
         if code is not Exit.DONE or not done:  # runs that failed before are not tried again unasked
-            typer.echo("Nothing more is decided before these runs are done; the same command goes on.")
+            tell("Nothing more is decided before these runs are done; the same command goes on.")
             break
         found = _look(layout, plan, trial, here)
         _tell(found, look, len(here))
@@ -141,16 +141,16 @@ def _look(layout: Layout, plan: Plan, trial: Trial, seeds: list[int]) -> Contest
         if each.verdict.looks * trial.group < len(seeds):
             raise UserError(
                 f"{_name(each.pair)}: a run is done, but cannot be scored",
-                f"`rrmctl report power {plan.experiment}` says which and why",
+                f"`{rrmctl('report', 'power', plan.experiment, results=layout.root)}` says which and why",
             )
     return found
 
 
 def _tell(found: Contests, look: int, seeds: int) -> None:
     """What is decided so far, a line a comparison."""
-    typer.echo(f"Look {look} of {found.design.looks}, after {seeds} seeds:")
+    tell(f"Look {look} of {found.design.looks}, after {seeds} seeds:")
     for each in found.contests:
-        typer.echo(f"  {_name(each.pair)}: {_said(each, found.design.group)}")
+        tell(f"  {_name(each.pair)}: {_said(each, found.design.group)}")
 
 
 def _name(pair: Pairing) -> str:

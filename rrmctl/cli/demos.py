@@ -10,6 +10,7 @@ import typer
 
 from rrm.files import place
 from rrmctl.cli.options import DEFAULT_RESULTS, ResultsOption
+from rrmctl.cli.screen import tell
 from rrmctl.errors import UserError
 
 demos_app = typer.Typer(no_args_is_help=True, help="Collect demonstrations, or look at a file of them.")
@@ -56,7 +57,7 @@ def collect(
         played.save(out)
     except OSError as error:
         raise storage_error(out, error) from error
-    typer.echo(json.dumps(played.summary(), indent=1))
+    tell(json.dumps(played.summary(), indent=1))
 
 
 @demos_app.command()

@@ -9,6 +9,7 @@ import typer
 
 from rrm.files import place
 from rrmctl.cli.options import DEFAULT_RESULTS, ResultsOption
+from rrmctl.cli.screen import tell
 from rrmctl.errors import UserError
 from rrmctl.export.formats import formats
 
@@ -44,6 +45,6 @@ def export(
         raise UserError(f'there is no format "{to}"{nearest(to, known)}', f"there are: {', '.join(known)}")
     bundle = read(results, Path(name).stem if name.endswith(".toml") else name, profile)
     if not bundle.begun:
-        typer.echo(f"note: none of the {len(bundle.runs)} planned runs has an evaluation yet", err=True)
+        tell(f"note: none of the {len(bundle.runs)} planned runs has an evaluation yet", err=True)
     written = known[to].load().write(bundle, output)
-    typer.echo(f"{output}: {len(bundle.begun)} of {len(bundle.runs)} planned runs, {len(written)} files")
+    tell(f"{output}: {len(bundle.begun)} of {len(bundle.runs)} planned runs, {len(written)} files")

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from functools import partial
 from typing import TYPE_CHECKING
 
 import typer
 
-from rrmctl.cli.options import DEFAULT_RESULTS
+from rrm.errors import RrmError
+from rrmctl.cli.again import rerun_command
 from rrmctl.cli.screen import tell
-from rrmctl.cli.state import rerun_command
-from rrmctl.errors import Exit, UserError
+from rrmctl.commands import rrmctl
+from rrmctl.errors import Exit, UserError, room_error
 
 if TYPE_CHECKING:
     from rrmctl.store.layout import Layout
@@ -22,6 +23,8 @@ def finish(
     layout: Layout, code: Exit, sweeps: Sequence[SweepRecord], *, damaged: bool = False, closing: str | None = None
 ) -> None:
     """Write the curves' aggregates, say how it ended and what to do next, and leave with the exit code.
+
+    The runs are what counts: what goes wrong here is said in a line, and changes no exit code.
 
     Args:
         code: as the pool ended.
@@ -34,10 +37,14 @@ def finish(
     names = list(dict.fromkeys(sweep.experiment for sweep in sweeps))
     states = statuses(layout, (job for sweep in sweeps for job in sweep.everything))
     found = {status.state for status in states.values()}
+    lost: list[tuple[str, str]] = []
     if code is not Exit.INTERRUPTED and "done" in found:
-        _aggregate(layout, names)
-    lost = list(_lost(layout, sweeps)) if code is not Exit.INTERRUPTED else []
-    for line in lost:
+        again = rrmctl("resume", results=layout.root)
+        _afterwards("not every curve was looked at", again, lambda: lost.extend(_lost(layout, sweeps)))
+        for name in (each for each in names if each not in dict(lost)):
+            later = rrmctl("resume", name, results=layout.root)
+            _afterwards(f"aggregates/{name}.parquet was not written", later, partial(_aggregate, layout, name))
+    for _, line in lost:
         tell(line)
     if code is Exit.DONE and (lost or damaged or "failed" in found):
         code = Exit.FAILED
@@ -47,25 +54,36 @@ def finish(
     raise typer.Exit(code)
 
 
+def _afterwards(undone: str, later: str, do: Callable[[], None]) -> None:
+    """Do what may fail for any reason, and say then what is left undone and which command does it later."""
+    try:
+        do()
+    except Exception as error:
+        what = room_error(error) or error
+        words = str(what) if isinstance(what, UserError | RrmError) else f"{type(what).__name__}: {what}"
+        tell(f"note: {undone}: {words}; later: {later}", err=True)
+
+
 def _advise(layout: Layout, code: Exit, names: Sequence[str], *, failed: bool) -> None:
-    here = "" if layout.root == DEFAULT_RESULTS else f" --results {layout.root}"
-    name = f" {names[0]}" if len(names) == 1 else ""
+    command = partial(rrmctl, results=layout.root)
+    name = names[:1] if len(names) == 1 else ()
     match code:
         case Exit.DONE:
             tell("All done. Next:")
             for each in names:
-                tell(f"  rrmctl report iqm {each}{here}")
-                tell(f"  rrmctl plot {each}{here}")
+                tell(f"  {command('report', 'iqm', each)}")
+                tell(f"  {command('plot', each)}")
         case Exit.FAILED if failed:
-            tell(f"Some runs failed: rrmctl status{name} --failed{here}; --retry-failed tries them again.")
+            tell(f"Some runs failed. Why: {command('status', *name, '--failed')}")
+            tell(f"Try them again: {command('resume', *name, '--retry-failed')}")
         case Exit.FAILED:
             tell("Not all is there; see above.")
         case _:
-            tell(f"Not complete: rrmctl resume{name}{here} goes on where it stopped.")
+            tell(f"Not complete; this goes on where it stopped: {command('resume', *name)}")
 
 
-def _lost(layout: Layout, sweeps: Iterable[SweepRecord]) -> Iterator[str]:
-    """A line for each run that is done and whose curve is not all there."""
+def _lost(layout: Layout, sweeps: Iterable[SweepRecord]) -> Iterator[tuple[str, str]]:
+    """The experiment, and a line for each run that is done and whose curve is not all there."""
     from rrmctl.store.reader import lost_rows, run_status
 
     jobs: dict[str, tuple[SweepRecord, JobRecord]] = {job.id: (sweep, job) for sweep in sweeps for job in sweep.jobs}
@@ -75,22 +93,17 @@ def _lost(layout: Layout, sweeps: Iterable[SweepRecord]) -> Iterator[str]:
         status = run_status(folder)
         return lost_rows(folder, status) if status.state == "done" else None
 
-    with ThreadPoolExecutor(max_workers=8) as threads:
-        for run, problem in zip(jobs, threads.map(look, jobs), strict=True):
-            if problem is not None:
-                sweep, job = jobs[run]
-                command = rerun_command(layout, sweep, job)
-                yield f"{job.label} is done, but {problem}. Bring the file back, or train it again: {command}"
+    for run, (sweep, job) in jobs.items():
+        problem = look(run)
+        if problem is not None:
+            command = rerun_command(layout, sweep, job)
+            told = f"{job.label} is done, but {problem}. Bring the file back, or train it again: {command}"
+            yield sweep.experiment, told
 
 
-def _aggregate(layout: Layout, names: Iterable[str]) -> None:
-    """Write each experiment's `aggregates/NAME.parquet`. The runs are what counts: no error."""
-    from rrm.errors import RrmError
+def _aggregate(layout: Layout, name: str) -> None:
+    """Write an experiment's `aggregates/NAME.parquet`."""
     from rrmctl.reports import aggregates
     from rrmctl.reports.select import read_sections
 
-    for name in names:
-        try:
-            aggregates.write(layout, read_sections(layout.root, name))
-        except (UserError, RrmError) as error:
-            tell(f"note: aggregates/{name}.parquet was not written: {error}", err=True)
+    aggregates.write(layout, read_sections(layout.root, name))

@@ -22,6 +22,7 @@ from rrmctl.cli.options import (
 )
 from rrmctl.cli.request import Forecast, Request, duration, forecast, in_words, smaller
 from rrmctl.errors import Exit, UserError
+from rrmctl.terminal import console
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -213,7 +214,5 @@ def _console() -> Console:
 
     Texts of manifests are shown as they are: neither brackets nor colons in them mean anything.
     """
-    from rich.console import Console
-
     width = None if sys.stdout.isatty() else 200
-    return Console(width=width, highlight=False, soft_wrap=True, markup=False, emoji=False)
+    return console(width=width, highlight=False, soft_wrap=True, markup=False, emoji=False)

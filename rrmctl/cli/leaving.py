@@ -16,7 +16,7 @@ from typing import ParamSpec
 import typer
 
 from rrmctl.cli.screen import tell
-from rrmctl.errors import Exit
+from rrmctl.errors import Exit, room_error
 
 _Arguments = ParamSpec("_Arguments")
 
@@ -38,6 +38,11 @@ def resumable(command: Callable[_Arguments, None]) -> Callable[_Arguments, None]
         except _LeaveError:
             tell("Not complete: the same command goes on.")
             raise typer.Exit(Exit.INCOMPLETE) from None
+        except Exception as error:
+            if (room := room_error(error)) is None:
+                raise
+            room.code = Exit.INCOMPLETE  # all that is done is done, and the same command goes on
+            raise room from error
         finally:
             for number, handler in before.items():
                 signal.signal(number, handler)

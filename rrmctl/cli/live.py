@@ -91,7 +91,7 @@ class Lines:
         after = {Phase.WAITING: "will be tried again", Phase.FAILED: "failed"}.get(phase, "stopped")
         self.say(job, f"{after}: {error}", style="red")
         folder = self._layout.run(job)
-        if error.kind in (ErrorKind.REFUSED, ErrorKind.STORAGE):
+        if error.kind in (ErrorKind.REFUSED, ErrorKind.STORAGE, ErrorKind.MISSING):
             return  # the message says it all
         for line in log_tail(folder):
             self.console.print(f"    {line}", style="dim", markup=False, highlight=False, soft_wrap=True)

@@ -10,18 +10,24 @@ from typing import Annotated
 import typer
 
 from rrm.files import place
+from rrmctl import commands
 from rrmctl.errors import UserError
 
-DEFAULT_RESULTS = Path("results")
+DEFAULT_RESULTS = commands.DEFAULT_RESULTS
+
+
+def default_experiments() -> Path | None:
+    """The folder of the user's manifests without --experiments; None for the one that need not be there."""
+    folder = os.environ.get("RRMCTL_EXPERIMENTS")
+    return place(folder) if folder else None
 
 
 def complete_experiment(incomplete: str) -> list[str]:
     """For the shell: experiments whose name starts with what was typed."""
     from rrmctl.planning.experiments import available
 
-    folder = os.environ.get("RRMCTL_EXPERIMENTS")
     with contextlib.suppress(UserError):  # no such folder
-        return [name for name in available(Path(folder) if folder else None) if name.startswith(incomplete)]
+        return [name for name in available(default_experiments()) if name.startswith(incomplete)]
     return []
 
 

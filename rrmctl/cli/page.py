@@ -10,6 +10,7 @@ import typer
 from rrm.files import place
 from rrmctl.cli.options import DEFAULT_RESULTS, ResultsOption
 from rrmctl.cli.report import Iqm, IqmOption, MixedOption, ProfileOption, ReplicatesOption
+from rrmctl.cli.screen import tell
 from rrmctl.errors import UserError
 
 
@@ -47,4 +48,4 @@ def html(
         write_bytes(output, data)
     except StorageError as error:
         raise UserError(str(error), "name another place with -o") from error
-    typer.echo(f"{output}: {len(data) / 1e6:.1f} MB")
+    tell(f"{output}: {len(data) / 1e6:.1f} MB")

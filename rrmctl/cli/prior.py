@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 import os
+import shlex
 from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -11,6 +13,7 @@ import typer
 
 from rrm.files import place, read_bounded
 from rrmctl.cli.options import ExperimentsOption
+from rrmctl.cli.screen import tell
 from rrmctl.errors import UserError
 
 if TYPE_CHECKING:
@@ -84,26 +87,27 @@ def add(
     from rrm.priors.language.prompt import make_prompt
     from rrmctl.planning.experiments import OWN
 
-    os.environ.setdefault("MUJOCO_GL", "disabled")  # nothing is rendered
     spec = task_of(task)
     text = make_prompt(spec, skeleton=True) if prompt_file is None else _read(prompt_file)
     origin = Origin(model=model, date=f"{date:%Y-%m-%d}", prompt=text)
-    target, record = freeze(spec, files, origin, into or (experiments or OWN).absolute().parent / "priors")
+    manifests = experiments or OWN
+    target, record = freeze(spec, files, origin, into or manifests.absolute().parent / "priors")
     _show(record)
     name = os.path.relpath(target)
-    typer.echo(
-        f'\nfrozen: {name}\nuse it: --prior {name}:reward, or prior = "{name}:reward" in a manifest\'s [method.NAME]'
-    )
+    option = shlex.join(["--prior", f"{name}:reward"])
+    line = f"prior = {json.dumps(f'{os.path.relpath(target, manifests)}:reward')}"  # manifests name files from there
+    tell(f"\nfrozen: {name}\nuse it: {option}, or {line} in the [method.NAME] of a manifest in {manifests}")
 
 
 def _show(record: Record) -> None:
     for candidate in record.candidates:
         score = "the only one left" if candidate.score is None else f"{candidate.score:.4f}"
         kept = "*" if candidate.file == record.kept else " "
-        typer.echo(f"{kept} {candidate.refused or f'{candidate.file}: {score}'}")
+        tell(f"{kept} {candidate.refused or f'{candidate.file}: {score}'}")
 
 
 def _read(path: Path) -> str:
+
     try:
         return read_bounded(path, _LARGEST_PROMPT).decode()
     except OSError as error:

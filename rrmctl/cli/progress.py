@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 STATES = ("done", "running", "interrupted", "queued", "failed", "blocked", "unreadable")
 
 #: States in which nothing is left to be done, or can be.
-_OVER = ("done", "failed", "blocked")
+OVER = ("done", "failed", "blocked")
 
 #: Speeds in environment steps per second, by task and method.
 Rates = Mapping[tuple[str, str], float]
@@ -51,7 +51,7 @@ class Group:
     @property
     def open(self) -> int:
         """Runs that are neither done nor failed, nor blocked by one that failed."""
-        return len(self.jobs) - sum(self.counts[state] for state in _OVER)
+        return len(self.jobs) - sum(self.counts[state] for state in OVER)
 
     @cached_property
     def seconds_left(self) -> float | None:
@@ -60,7 +60,7 @@ class Group:
         total = 0.0
         for job in self.jobs:
             status = self.states[job.id]
-            if status.state in _OVER:
+            if status.state in OVER:
                 continue
             rate = rates.get((job.task, job.method))
             if rate is None:

@@ -12,9 +12,11 @@ import typer
 
 from rrm.files import place
 from rrmctl.cli.options import DEFAULT_RESULTS, ResultsOption
+from rrmctl.cli.screen import tell
 from rrmctl.errors import UserError
 from rrmctl.reports.figures import figures
 from rrmctl.reports.kinds import kinds
+from rrmctl.terminal import spelled
 
 if TYPE_CHECKING:
     from rrmctl.reports.series import Section
@@ -125,7 +127,7 @@ def _table(entry: Entry) -> Callable[..., None]:
         elif form is Format.TERMINAL:
             print_terminal(shown, console_for())
         else:
-            typer.echo(to_text(shown, form.value), nl=False)
+            typer.echo(spelled(to_text(shown, form.value)), nl=False)
 
     return _without(command, {"plus_minus"} - set(entry.options))
 
@@ -186,19 +188,19 @@ def plot(
         for figure, module in drawn.items():
             if not module.suits(section):
                 if wanted:
-                    typer.echo(f"note: {where}: nothing to draw in the figure {figure}", err=True)
+                    tell(f"note: {where}: nothing to draw in the figure {figure}", err=True)
                 continue
             try:
                 made = module.draw(section, settings)
             except UserError as error:
                 if wanted:
                     raise
-                typer.echo(f"note: {where}: the figure {figure} was not drawn: {error}", err=True)
+                tell(f"note: {where}: the figure {figure} was not drawn: {error}", err=True)
                 continue
             for suffix in forms or Drawing:
                 path = (output or results / "figures") / f"{_figure_name(section, figure, width)}.{suffix}"
                 _write(path, encode(made, suffix.value))
-                typer.echo(str(path))
+                tell(str(path))
 
 
 plot.__doc__ = "\n\n".join(
@@ -210,7 +212,7 @@ def _with_runs(sections: Sequence[Section]) -> list[Section]:
     """Those with something to draw; the others are named on standard error."""
     for section in sections:
         if not section.contained:
-            typer.echo(f"note: {section.experiment}, profile {section.profile}: no run to draw yet", err=True)
+            tell(f"note: {section.experiment}, profile {section.profile}: no run to draw yet", err=True)
     return [section for section in sections if section.contained]
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import sys
 from collections.abc import Iterable, Sequence
 from functools import partial
@@ -9,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from rrmctl.cli.again import remaking_commands, unconfigured
 from rrmctl.cli.finish import finish
 from rrmctl.cli.introduction import LARGE_H, from_nothing, introduce
 from rrmctl.cli.leaving import resumable
@@ -37,7 +39,10 @@ from rrmctl.cli.progress import runs
 from rrmctl.cli.request import Request, forecast, job_record
 from rrmctl.cli.screen import drain, unfailing
 from rrmctl.cli.state import note_damage
+from rrmctl.cli.trust import remember, require_trust
+from rrmctl.commands import rrmctl
 from rrmctl.errors import Exit, UserError
+from rrmctl.terminal import console
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -143,6 +148,9 @@ def resume(
     hang_after: HangOption = HANG_AFTER_MIN,
     results: ResultsOption = DEFAULT_RESULTS,
     retry_failed: RetryOption = False,
+    trust: Annotated[
+        bool, typer.Option("--trust", help="Run also code that the folder names and that you have not run from here.")
+    ] = False,
 ) -> None:
     """Go on with every sweep that was begun in the results folder and is not complete.
 
@@ -156,7 +164,8 @@ def resume(
     sweeps, damage = readable_sweeps(layout) if name is None else (find_sweeps(layout, name), [])
     note_damage(damage)
     if not sweeps:
-        raise UserError(f"{results} holds no sweep", "begin one with `rrmctl run NAME`; `rrmctl list` shows the names")
+        begin = rrmctl("run", "quickstart", results=results)
+        raise UserError(f"{results} holds no sweep", f"begin one, such as `{begin}`; `rrmctl list` shows the names")
     jobs = {job.id: job for sweep in sweeps for job in sweep.everything}
     states = statuses(layout, jobs.values())
     chosen = [job for job in jobs.values() if _is_open(states[job.id], retry_failed=retry_failed)]
@@ -164,11 +173,17 @@ def resume(
         count = sum(_is_open(states[job.id], retry_failed=retry_failed) for job in sweep.everything)
         total = runs(len(sweep.everything))
         console.print(f"{sweep.experiment} ({sweep.variant}): {count} of {total} to go", soft_wrap=True)
-    assigned = [_assignment(job, states[job.id], _threads(layout, job), fresh=False) for job in chosen]
+    gone = unconfigured(layout, chosen)
+    for command in remaking_commands(layout, sweeps, gone, states):
+        console.print(f"configurations are missing; this makes them, and the runs: {command}", soft_wrap=True)
+    assigned = [
+        _assignment(job, states[job.id], _threads(layout, job), fresh=False) for job in chosen if job.id not in gone
+    ]
+    require_trust(results, _code(layout, chosen), trust=trust, asks=_asks())
     slots = workers or _default_slots(job.threads for job in assigned)
     code = _run(console, layout, assigned, slots, memory, hang_after)
     drain(console.file)
-    finish(layout, code, sweeps, damaged=bool(damage))
+    finish(layout, code, sweeps, damaged=bool(damage or gone))
 
 
 def _default_slots(threads: Iterable[int]) -> int:
@@ -192,7 +207,7 @@ def _record(console: Console, layout: Layout, plan: Plan) -> SweepRecord:
     known = read_sweep(path)
     asked = SweepRecord(
         experiment=plan.experiment, variant=plan.variant, profile=plan.profile, overrides=plan.overrides,
-        jobs=tuple(map(job_record, plan.jobs)), needed=tuple(map(job_record, plan.needed)),
+        jobs=tuple(map(job_record, plan.jobs)), needed=tuple(map(job_record, plan.needed)), priors=plan.priors,
     )  # fmt: skip
     notes = [damage, *_configure(layout, plan.everything)]
     late = set(record_sweep(layout, asked).superseded) - set(known.superseded if known else ())
@@ -207,10 +222,12 @@ def _record(console: Console, layout: Layout, plan: Plan) -> SweepRecord:
 
 
 def _configure(layout: Layout, jobs: Iterable[Job]) -> list[str | None]:
-    from rrmctl.running.runfile import config_content
+    from rrmctl.running.runfile import code_files, config_content
     from rrmctl.store.records import record_config
 
-    return [record_config(layout.run(job.id), config_content(job.config)) for job in jobs]
+    contents = {job.id: config_content(job.config) for job in jobs}
+    remember(digest for content in contents.values() for digest in code_files(content).values())
+    return [record_config(layout.run(run), content) for run, content in contents.items()]
 
 
 def _assignment(job: JobRecord, status: Status, threads: int, *, fresh: bool) -> Assignment:
@@ -220,6 +237,18 @@ def _assignment(job: JobRecord, status: Status, threads: int, *, fresh: bool) ->
         id=job.id, label=job.label, steps=job.steps, threads=threads, attempt=status.attempt, fresh=fresh,
         requires=job.requires,
     )  # fmt: skip
+
+
+def _code(layout: Layout, jobs: Iterable[JobRecord]) -> dict[str, str]:
+    """Digests of the code of users that these runs name, by path."""
+    from rrmctl.running.runfile import code_files
+    from rrmctl.store.reader import read_config
+
+    found: dict[str, str] = {}
+    for job in jobs:
+        with contextlib.suppress(UserError):  # its worker refuses it
+            found |= code_files(read_config(layout.run(job.id)))
+    return found
 
 
 def _threads(layout: Layout, job: JobRecord) -> int:
@@ -258,9 +287,7 @@ def _run(
 
 
 def _progress_console() -> Console:
-    from rich.console import Console
-
-    return Console(file=unfailing(sys.stderr), highlight=False, markup=False, emoji=False)
+    return console(file=unfailing(sys.stderr), highlight=False, markup=False, emoji=False)
 
 
 def _asks() -> bool:

@@ -1,6 +1,6 @@
-"""Output that a sweep can do without: where it cannot be written, the sweep goes on, and obeys signals all the while.
+"""Output that a command can do without: where it cannot be written, its work goes on, and obeys signals all the while.
 
-A terminal may be stopped (Ctrl-S), the reader of a pipe may sleep or be gone, the disk behind a redirection full.
+A terminal may be stopped (Ctrl-S), the reader of a pipe may sleep.
 """
 
 from __future__ import annotations
@@ -8,14 +8,15 @@ from __future__ import annotations
 import atexit
 import contextlib
 import io
-import os
 import queue
-import sys
 import threading
 import time
 from typing import TextIO
 
 import typer
+
+from rrmctl.streams import Outlet, UndeliveredError
+from rrmctl.terminal import spelled
 
 #: Pieces of text that wait to be written; further ones are dropped.
 _WAITING = 10_000
@@ -31,8 +32,8 @@ class Screen(io.TextIOBase):
     """
 
     def __init__(self, stream: TextIO) -> None:
-        self._descriptor = stream.fileno()
-        self._encoding = stream.encoding
+        self._outlet = Outlet(stream.fileno())
+        self._encoding, self._errors = stream.encoding, stream.errors or "backslashreplace"
         self._waiting: queue.Queue[str] = queue.Queue(_WAITING)
         threading.Thread(target=self._pass_on, daemon=True).start()
         atexit.register(self.drain)
@@ -42,10 +43,10 @@ class Screen(io.TextIOBase):
         return self._encoding
 
     def fileno(self) -> int:
-        return self._descriptor
+        return self._outlet.fileno()
 
     def isatty(self) -> bool:
-        return os.isatty(self._descriptor)
+        return self._outlet.isatty()
 
     def write(self, text: str) -> int:
         with contextlib.suppress(queue.Full):
@@ -61,18 +62,17 @@ class Screen(io.TextIOBase):
     def _pass_on(self) -> None:
         # Not through Python's own stream: its lock, held by a thread that waits, would keep the process from ending.
         while True:
-            data = self._waiting.get().encode(self._encoding, "backslashreplace")
-            with contextlib.suppress(OSError):
-                while data:
-                    data = data[os.write(self._descriptor, data) :]
+            data = self._waiting.get().encode(self._encoding, self._errors)
+            while data:
+                data = data[self._outlet.write(data) :]
             self._waiting.task_done()
 
 
 def unfailing(stream: TextIO) -> TextIO:
-    """The stream as a `Screen`, unless it has no file descriptor (a test's)."""
+    """The stream as a `Screen`, unless it has no file descriptor (a test's) or the system has no room for a thread."""
     try:
         return Screen(stream)  # type: ignore[return-value]
-    except (OSError, ValueError):
+    except (OSError, ValueError, RuntimeError):
         return stream
 
 
@@ -83,9 +83,6 @@ def drain(stream: object) -> None:
 
 
 def tell(text: str, *, err: bool = False) -> None:
-    """A line on standard output, or error, which is given up where it takes none."""
-    try:
-        typer.echo(text, err=err)
-    except OSError:
-        with contextlib.suppress(OSError, ValueError):
-            os.dup2(os.open(os.devnull, os.O_WRONLY), (sys.stderr if err else sys.stdout).fileno())
+    """A line about work that is done elsewhere, in files, on standard output or error; given up where it takes none."""
+    with contextlib.suppress(UndeliveredError):
+        typer.echo(spelled(text), err=err)

@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from rrmctl.cli.again import rerun_command
 from rrmctl.cli.options import DEFAULT_RESULTS, ResultsOption
-from rrmctl.cli.state import console_for_tables, note_damage, rerun_command
+from rrmctl.cli.state import console_for_tables, note_damage
 from rrmctl.errors import UserError
 from rrmctl.store.schema import IDENTITY, MEASURED
 

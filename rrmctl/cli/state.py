@@ -10,10 +10,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from rrmctl.cli.again import remaking_commands, unconfigured
 from rrmctl.cli.options import DEFAULT_RESULTS, ResultsOption
-from rrmctl.cli.progress import STATES, Group, errors, group_by_row, group_by_sweep, runs
-from rrmctl.commands import run_command
+from rrmctl.cli.progress import OVER, STATES, Group, errors, group_by_row, group_by_sweep, runs
+from rrmctl.cli.screen import tell
+from rrmctl.commands import rrmctl
 from rrmctl.errors import UserError
+from rrmctl.terminal import console
 
 if TYPE_CHECKING:
     from rich.console import Console, RenderableType
@@ -74,12 +77,12 @@ def _watch(view: _View, look: Any, *, as_json: bool) -> None:
     from rich.live import Live
 
     console = console_for_tables()
-    if as_json or not console.is_terminal:
+    if as_json or not sys.stdout.isatty():
         said = None
         while True:
             told = json.dumps(view.as_json()) if as_json else view.line()
             if told != said:
-                typer.echo(told)
+                tell(told)
                 said = told
             if not view.has_work:
                 return
@@ -133,7 +136,8 @@ class _View:
         from rich.table import Table
 
         if not self._sweeps:
-            return f"{self._layout.root} holds no sweep yet; rrmctl run NAME begins one."
+            begin = self._command("run", "quickstart")
+            return f"{self._layout.root} holds no sweep yet. Begin one: {begin}"
         if self._failed:
             return self._failures()
         table = Table(box=None, pad_edge=False)
@@ -149,10 +153,17 @@ class _View:
     def _hints(self) -> list[str]:
         hints = []
         if self.total.counts["failed"] or self.total.counts["unreadable"]:
-            hints.append("rrmctl status --failed says why runs failed.")
-        if not self.total.counts["running"] and self.has_work:
-            hints.append("Nothing is running; rrmctl resume goes on.")
+            hints.append(f"Why runs failed: {self._command('status', '--failed')}")
+        jobs = [job for job in self._every_job() if self._states[job.id].state not in OVER]
+        gone = unconfigured(self._layout, jobs)
+        if not self.total.counts["running"] and len(jobs) > len(gone):
+            hints.append(f"Nothing is running; this goes on: {self._command('resume')}")
+        for command in remaking_commands(self._layout, self._sweeps, gone, self._states):
+            hints.append(f"Configurations are missing; this makes them, and the runs: {command}")
         return hints
+
+    def _command(self, *words: str) -> str:
+        return rrmctl(*words, results=self._layout.root)
 
     def _failures(self) -> RenderableType:
         from rich.text import Text
@@ -165,9 +176,8 @@ class _View:
             lines.append(f"{runs(len(jobs))}: {message}\n", style="red")
             for job in jobs:
                 lines.append(f"  {job.id}  {job.label}, attempt {self._states[job.id].attempt}\n")
-        lines.append(
-            f"`rrmctl show ID` shows the log; logs are {self._layout.run(jobs[-1].id).log.parent.parent}/ID/log.txt."
-        )
+        last = self._layout.run(jobs[-1].id)
+        lines.append(f"The end of a log: {self._command('show', last.id)}; all of it: {last.log}")
         return lines
 
     def as_json(self) -> dict[str, Any]:
@@ -187,21 +197,11 @@ class _View:
 def note_damage(damage: Iterable[UserError]) -> None:
     """One line on standard error for each file that a command can go on without."""
     for error in damage:
-        typer.echo(f"note: {error}; {error.hint}", err=True)
-
-
-def rerun_command(layout: Layout, sweep: SweepRecord, job: Any) -> str:
-    """The command that trains this run again."""
-    return run_command(
-        sweep.experiment, sweep.profile, sweep.overrides, tasks=[job.task], methods=[job.method], seeds=[job.seed],
-        results=None if layout.root == DEFAULT_RESULTS else layout.root, force=True,
-    )  # fmt: skip
+        tell(f"note: {error}; {error.hint}", err=True)
 
 
 def console_for_tables() -> Console:
     """Standard output, for what is a table or may be long."""
-    from rich.console import Console
-
     # Wide where nobody looks: what another program reads should not be folded.
     width = None if sys.stdout.isatty() else 200
-    return Console(width=width, highlight=False, markup=False, emoji=False)
+    return console(width=width, highlight=False, markup=False, emoji=False)

@@ -22,7 +22,6 @@ The constants were fitted on one machine; the result is good to about a factor o
 from __future__ import annotations
 
 import math
-import os
 import statistics
 import subprocess
 import sys
@@ -32,6 +31,7 @@ from dataclasses import dataclass
 from functools import cache
 from typing import TYPE_CHECKING
 
+from rrm.process import environment
 from rrmctl.errors import UserError
 
 if TYPE_CHECKING:
@@ -149,7 +149,7 @@ def measure_gemm() -> float:
     """
     one = {f"{name}_NUM_THREADS": "1" for name in ("OMP", "MKL", "OPENBLAS", "VECLIB", "NUMEXPR")}
     done = subprocess.run(
-        [sys.executable, "-P", "-c", _PROBE], env=os.environ | one, capture_output=True, text=True, check=False
+        [sys.executable, "-c", _PROBE], env=environment() | one, capture_output=True, text=True, check=False
     )
     if done.returncode != 0:
         last = (done.stderr.strip().splitlines() or ["?"])[-1]

@@ -55,6 +55,7 @@ class Plan:
     jobs: tuple[Job, ...]  #: seed by seed, so that every method has its first curve early
     needed: tuple[Job, ...]  #: runs that jobs need and that are none of them, each before those that need it
     manifest: Manifest
+    priors: tuple[str, ...] = ()  #: of `--prior`, files with their whole paths
 
     @property
     def everything(self) -> tuple[Job, ...]:
@@ -109,8 +110,10 @@ def make_plan(
         jobs.setdefault(job.id, job)
     needed = {job.id: job for job in chains if job.id not in jobs}
     return Plan(
-        manifest.name, scale, settings, variant(scale, settings), tuple(jobs.values()), tuple(needed.values()), manifest
-    )
+        experiment=manifest.name, profile=scale, overrides=settings, variant=variant(scale, settings),
+        jobs=tuple(jobs.values()), needed=tuple(needed.values()), manifest=manifest,
+        priors=tuple(str(new.prior) for new in added.values()),
+    )  # fmt: skip
 
 
 def _scale(manifest: Manifest, asked: str | None) -> str:
@@ -212,7 +215,7 @@ def _added(priors: Sequence[str], known: Mapping[str, Method]) -> dict[str, Meth
         if before is not None and before.prior != new.prior:
             raise UserError(
                 f"--prior {prior}: {new.name} already stands for the prior {before.prior}",
-                "rename the file: a method is named after it",
+                "rename the function: the method is named after it",
             )
         added[new.name] = before or new
     return added

@@ -5,7 +5,8 @@ from __future__ import annotations
 import re
 from typing import NamedTuple
 
-_LABEL = re.compile(r"(\d+)@(\d+)/(\d+)(?: (.+))?")
+_NUMBER = r"([1-9][0-9]{0,17})"
+_LABEL = re.compile(rf"{_NUMBER}@{_NUMBER}/{_NUMBER}(?: (.+))?")
 
 
 class Schedule(NamedTuple):
@@ -21,14 +22,10 @@ class Schedule(NamedTuple):
         return f"{label} {self.name}" if self.name else label
 
     @classmethod
-    def of(cls, label: str) -> Schedule:
-        """The schedule that a label stands for.
-
-        Raises:
-            ValueError: it is no label of a schedule, such as "-" where nothing is asked.
-        """
+    def of(cls, label: str) -> Schedule | None:
+        """The schedule that a label stands for; None where it is none's, such as "-" where nothing is asked."""
         match = _LABEL.fullmatch(label)
         if match is None:
-            raise ValueError(f'"{label}" is no schedule of feedback')
+            return None
         batch, every, budget, name = match.groups()
         return cls(int(batch), int(every), int(budget), name or "")

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import io
 import re
+from contextlib import AbstractContextManager
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rrmctl.reports.settings import Width
@@ -34,22 +37,25 @@ TEXT: dict[Width, float] = {"column": 7.0, "page": 8.0}
 WIDEST: dict[Width, float] = {"column": 3.3, "page": 7.0}
 
 
-def look(width: Width) -> Any:
-    """Settings of matplotlib for a figure of this width."""
-    size = TEXT[width]
-    sizes = {"font.size": size, "axes.titlesize": size + 0.5, "axes.labelsize": size, "legend.fontsize": size}
-    return _LOOK | sizes
+def look(width: Width | None = None) -> AbstractContextManager[None]:
+    """Inside of it matplotlib has our settings, for a figure of this width, whatever the user's are."""
+    with contextlib.chdir(Path(__file__).parent):  # a matplotlibrc in the working directory need not even be one
+        from matplotlib.style import context
+
+    size = TEXT[width] if width else None
+    names = ("font.size", "axes.labelsize", "legend.fontsize")
+    sizes = dict.fromkeys(names, size) | {"axes.titlesize": size + 0.5} if size else {}
+    return context(["default", _LOOK | sizes])
 
 
 def encode(figure: Figure, form: str, dpi: int = 200) -> bytes:
     """The figure as a file's content; `form` is one of `FORMS`. Equal figures give equal bytes."""
-    import matplotlib as mpl
     from matplotlib.backends.backend_agg import FigureCanvasAgg
 
     FigureCanvasAgg(figure)
     buffer = io.BytesIO()
     undated = {"pdf": {"CreationDate": None}, "svg": {"Date": None}}.get(form)
-    with mpl.rc_context(_LOOK):
+    with look():
         figure.savefig(buffer, format=form, dpi=dpi, metadata=undated)
     data = buffer.getvalue()
     return _numbered(data) if form == "svg" else data

@@ -21,7 +21,7 @@ from rrmctl.planning.profiles import PAPER
 from rrmctl.planning.schedules import Schedule
 from rrmctl.reports.claims import Arm, Budget, Claim, Reading, Test
 from rrmctl.reports.scores import Score, score
-from rrmctl.reports.series import NOTHING_ASKED, Floats, Section, Series, Steps
+from rrmctl.reports.series import Floats, Section, Series, Steps
 from rrmctl.reports.settings import LEVEL, Settings
 from rrmctl.stats import MIN_RUNS, Estimate
 
@@ -152,8 +152,8 @@ def _series(section: Section, task: str, arm: Arm) -> Series:
     named = [each for each in section.series if (each.label.task, each.label.method) == (task, arm.method)]
     found = [each for each in named if arm.teacher in (None, each.label.teacher)]
     if arm.budget is not None:
-        asked = [each for each in found if each.label.feedback != NOTHING_ASKED]
-        found = [each for each in asked if _is(arm.budget, each.label.feedback, _fullest(section, task))]
+        asked = [(each, Schedule.of(each.label.feedback)) for each in found]
+        found = [each for each, schedule in asked if schedule and _is(arm.budget, schedule, _fullest(section, task))]
     if not any(each.n for each in found):
         raise MissingDataError(f"no runs of {arm}, {task}")
     if len(found) > 1:
@@ -166,12 +166,11 @@ def _series(section: Section, task: str, arm: Arm) -> Series:
 def _fullest(section: Section, task: str) -> tuple[int, int]:
     """Questions of the largest session and steps of the shortest interval among a task's schedules."""
     labels = [each.label for each in section.series if each.label.task == task]
-    known = [Schedule.of(label.feedback) for label in labels if label.feedback != NOTHING_ASKED]
+    known = [schedule for label in labels if (schedule := Schedule.of(label.feedback))]
     return max(each.batch for each in known), min(each.every for each in known)
 
 
-def _is(budget: Budget, label: str, full: tuple[int, int]) -> bool:
-    asked = Schedule.of(label)
+def _is(budget: Budget, asked: Schedule, full: tuple[int, int]) -> bool:
     return math.isclose(asked.batch / full[0], budget.batch, rel_tol=0.1) and math.isclose(
         asked.every / full[1], budget.every, rel_tol=0.1
     )

@@ -8,20 +8,18 @@ from typing import TYPE_CHECKING, Any
 
 from rrmctl.reports.series import ORACLE, Floats, Panel, Section, Series, Steps
 from rrmctl.reports.sheet import Cell
-from rrmctl.reports.styles import Style, style
+from rrmctl.reports.styles import LINE, Looks, Style
 from rrmctl.reports.words import short_absent_notes
 from rrmctl.stats import iqm, quartiles
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.lines import Line2D
 
     from rrmctl.stats import IqmKind
 
 UNITS = {"success": "Success rate (%)", "return": "Return (true reward)"}
 
 _MARKERS_A_LINE = 8
-_LINE: dict[str, Any] = {"linewidth": 1.3, "markersize": 3.8, "markeredgewidth": 0.8}
 
 
 def line(axes: Axes, steps: Steps | Floats, values: Floats, look: Style, position: int = 0, **other: Any) -> None:
@@ -30,7 +28,7 @@ def line(axes: Axes, steps: Steps | Floats, values: Floats, look: Style, positio
     # A line without markers has nothing to show at a single step.
     marker = look.marker or ("." if steps.size == 1 else "")
     arguments: dict[str, Any] = look._asdict() | {"marker": marker, "markevery": (position % every, every)}
-    axes.plot(steps, values, **_LINE | arguments | other)
+    axes.plot(steps, values, **LINE | arguments | other)
 
 
 def band(axes: Axes, steps: Steps, values: Floats, look: Style) -> None:
@@ -40,20 +38,20 @@ def band(axes: Axes, steps: Steps, values: Floats, look: Style) -> None:
         axes.fill_between(steps, low, high, color=look.color, alpha=0.14, linewidth=0)
 
 
-def curve(axes: Axes, series: Series, kind: IqmKind, position: int) -> None:
+def curve(axes: Axes, series: Series, look: Style, kind: IqmKind, position: int) -> None:
     """A series' interquartile mean and quartiles, success in percent."""
-    look, values = style(series.label.method), scaled(series)
+    values = scaled(series)
     on_top = 3 if series.label.method == ORACLE else 2  # dots on a line can be seen, a line on dots hides them
     line(axes, series.steps, iqm(values, kind, axis=0), look, position, zorder=on_top)
     band(axes, series.steps, values, look)
 
 
-def curves_cell(name: str, series: Sequence[Series], kind: IqmKind) -> Cell:
+def curves_cell(name: str, series: Sequence[Series], looks: Looks, kind: IqmKind) -> Cell:
     """A panel of learning curves of one score."""
 
     def fill(axes: Axes) -> None:
         for position, each in enumerate(series):
-            curve(axes, each, kind, position)
+            curve(axes, each, looks[each.label.method], kind, position)
         score_axis(axes, series[0].score)
         step_axis(axes, max(int(each.steps[-1]) for each in series))
 
@@ -65,20 +63,13 @@ def scaled(series: Series) -> Floats:
     return 100 * series.values if series.score == "success" else series.values
 
 
-def handle(look: Style, label: str) -> Line2D:
-    """An entry of the legend."""
-    from matplotlib.lines import Line2D
-
-    return Line2D([], [], label=label, **_LINE | look._asdict())
-
-
-def methods(series: Iterable[Series]) -> list[Line2D]:
-    """An entry for each method, with the number of seeds behind its lines."""
+def methods(series: Iterable[Series], looks: Looks) -> dict[str, Style]:
+    """The legend: an entry for each method, with the number of seeds behind its lines."""
     found: dict[str, set[int]] = {}
     for each in series:
         found.setdefault(each.label.method, set()).add(each.n)
     ends = {method: dict.fromkeys((min(counts), max(counts))) for method, counts in found.items()}
-    return [handle(style(method), f"{method} (n = {'–'.join(map(str, counts))})") for method, counts in ends.items()]
+    return {f"{method} (n = {'–'.join(map(str, counts))})": looks[method] for method, counts in ends.items()}
 
 
 def step_axis(axes: Axes, last: int) -> None:

@@ -8,17 +8,16 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from rrmctl.commands import run_command
+from rrmctl.commands import run_commands
 from rrmctl.errors import UserError
 from rrmctl.planning.settings import config_version
 from rrmctl.reports.series import NOTHING_ASKED, Label, Section
 from rrmctl.store.layout import Layout, RunFolder
-from rrmctl.store.provenance import made_with, version
+from rrmctl.store.provenance import asked_by, made_with, version
 from rrmctl.store.reader import read_config
 
 if TYPE_CHECKING:
@@ -69,8 +68,7 @@ def read_makings(layout: Layout, runs: Sequence[str]) -> dict[str, Making]:
         DamagedError: a configuration or provenance cannot be read.
         UserError: a run has no configuration.
     """
-    with ThreadPoolExecutor(max_workers=8) as threads:  # on network disks the waiting counts most
-        return dict(zip(runs, threads.map(lambda run: _read(layout.run(run)), runs), strict=True))
+    return {run: _read(layout.run(run)) for run in runs}
 
 
 def _read(folder: RunFolder) -> Making:
@@ -155,8 +153,8 @@ def configurations(label: Label, rows: pd.DataFrame) -> UserError | None:
     which = "; ".join(f"{cell} (seeds {', '.join(map(str, seeds))})" for cell, seeds in cells.items())
     return UserError(
         f"{label}: its runs were made with {len(cells)} different configurations and cannot be averaged: {which}",
-        "settings or files changed between two `rrmctl run`s; `rrmctl show RUN` tells the difference. Run it once more "
-        f"as you did last, with all these seeds: --seeds {','.join(map(str, sorted(set(rows['seed']))))}; "
+        "settings or files changed from one sweep to the next; `rrmctl show RUN` tells the difference. Run it once "
+        f"more as you did last, with all these seeds: --seeds {','.join(map(str, sorted(set(rows['seed']))))}; "
         "what was made otherwise is then left out",
     )
 
@@ -169,19 +167,15 @@ def _now(fact: str) -> str | None:
 
 
 def _commands(section: Section, stale: Mapping[str, Sequence[Made]], results: str | Path) -> list[str]:
-    """What trains these runs anew and no other task, method or seed: a command for each task and set of seeds."""
-    seeds: dict[tuple[str, str], set[int]] = defaultdict(set)
-    for made in (made for runs in stale.values() for made in runs):
-        seeds[made.label.task, made.label.method].add(made.seed)
-    alike: dict[tuple[str, tuple[int, ...]], list[str]] = defaultdict(list)
-    for (task, method), found in seeds.items():
-        alike[task, tuple(sorted(found))].append(method)
-    force = bool(set(stale) - {VERSION})  # a run of another version is another run
-    asked = (section.experiment, section.profile, section.overrides)
-    return [
-        run_command(*asked, tasks=[task], methods=methods, seeds=numbers, results=results, force=force)
-        for (task, numbers), methods in alike.items()
-    ]
+    """What trains these runs anew and no other."""
+    made = [each for runs in stale.values() for each in runs]
+    return run_commands(
+        section.experiment, section.profile, section.overrides,
+        [(each.label.task, each.label.method, each.seed) for each in made],
+        asked=[asked_by(Layout(Path(results)).run(each.run)) for each in made],
+        options=["--force"] if set(stale) - {VERSION} else [],  # a run of another version is another run
+        results=results,
+    )  # fmt: skip
 
 
 def _runs(section: Section) -> Iterator[Made]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 
+from rrmctl.commands import rrmctl
 from rrmctl.errors import UserError
 from rrmctl.planning.manifest import nearest
 from rrmctl.store.layout import Layout
@@ -17,7 +18,10 @@ def experiments(layout: Layout, asked: Sequence[str]) -> list[str]:
     """
     known = layout.experiments()
     if not known:
-        raise UserError(f"{layout.root} holds no experiment yet", "start one, e.g. `rrmctl run quickstart`")
+        raise UserError(
+            f"{layout.root} holds no experiment yet",
+            f"start one, e.g. `{rrmctl('run', 'quickstart', results=layout.root)}`",
+        )
     for name in asked:
         if name not in known:
             near = nearest(name, known)

@@ -1,16 +1,19 @@
 """Reports as text: terminal, Markdown, CSV, LaTeX and JSON.
 
-For people success is in percent and every table carries its title and notes. CSV and JSON carry raw values (success
-as a fraction, missing as empty or null) and the same facts in columns and keys.
+For people success is in percent, and every table carries its title and what is particular to it in notes; the rest
+is said by `rrmctl report explain`. CSV and JSON carry raw values (success as a fraction, missing as empty or null) and
+the same facts in columns and keys.
 """
 
 from __future__ import annotations
 
 import io
 import json
-import os
+import sys
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING, Any
+
+from rrmctl.terminal import console
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -50,6 +53,8 @@ def print_terminal(reports: Sequence[Report], console: Console) -> None:
         for note in report.notes:
             console.print(Text(note, style="dim"))
         console.print()
+    if any(report.grid.rows for report in reports):
+        console.print(Text("Columns, intervals and bold: rrmctl report explain", style="dim"))
 
 
 def _emphasised(text: str, best: bool) -> Text:
@@ -63,14 +68,9 @@ def console_for(file: Any = None) -> Console:
 
     Colours follow the terminal, NO_COLOR and FORCE_COLOR; a given file gets none.
     """
-    from rich.console import Console
-
     if file is not None:
-        return Console(file=file, width=_WIDE, no_color=True, force_terminal=False, highlight=False)
-    console = Console(highlight=False)
-    if not console.is_terminal and "COLUMNS" not in os.environ:
-        console.width = _WIDE
-    return console
+        return console(file=file, width=_WIDE, no_color=True, force_terminal=False, highlight=False)
+    return console(width=None if sys.stdout.isatty() else _WIDE, highlight=False)
 
 
 def to_text(reports: Sequence[Report], form: str) -> str:
@@ -93,7 +93,7 @@ def _markdown(reports: Sequence[Report]) -> str:
         lines = ["| " + " | ".join(row) + " |" for row in (map(_cell, grid.header), rule, *body)]
         notes = [f"- {_escape(note, '*_')}" for note in report.notes]
         table = [*lines, ""] if grid.rows else []
-        parts.append("\n".join([f"### {_escape(report.title, '*_')}", "", *table, *notes]))
+        parts.append("\n".join([f"### {_escape(report.title, '*_')}", "", *table, *notes]).rstrip())
     return "\n\n".join(parts) + "\n"
 
 
@@ -143,12 +143,12 @@ def _latex_lines(report: Report) -> Iterator[str]:
         yield from (rf"\paragraph{{{_tex(report.title)}}}", notes)
     elif len(report.grid.rows) > _FLOATING:
         yield from _long_table(report)
-        yield rf"{{\footnotesize {notes}\par}}"
+        yield from [rf"{{\footnotesize {notes}\par}}"] if notes else []
     else:
         yield from (r"\begin{table}", r"\centering", rf"\caption{{{_tex(report.title)}}}")
         yield r"\resizebox{\ifdim\width>\textwidth\textwidth\else\width\fi}{!}{%"
         yield from _tabular(report.grid)
-        yield from ("}", r"\par\smallskip\footnotesize", notes, r"\end{table}")
+        yield from ("}", *((r"\par\smallskip\footnotesize", notes) if notes else ()), r"\end{table}")
 
 
 def _tabular(grid: Grid) -> Iterator[str]:

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from rrm.envs.tasks import task
+from rrmctl.commands import rrmctl
 from rrmctl.errors import UserError
 from rrmctl.reports import mixing, names
 from rrmctl.reports.mixing import Making
@@ -85,9 +86,10 @@ def of_profile(found: Sequence[Section], profile: str | None) -> tuple[Section, 
         states = Counter(absent.state for each in chosen for absent in each.absent)
         told = ", ".join(f"{count} {state}" for state, count in states.items())
         problems = "".join(f"; {problem}" for each in chosen for problem in each.problems)
+        root = next((each.source.root for each in chosen if each.source is not None), None)
         raise UserError(
             f"{which}: no run can be reported yet; of the planned ones {told}{problems}",
-            "`rrmctl status` says where they stand; `rrmctl run NAME` goes on",
+            f"`{rrmctl('status', results=root)}` says where they stand, and what goes on with them",
         )
     return tuple(chosen)
 

@@ -11,6 +11,7 @@ import numpy.typing as npt
 
 from rrm.envs.tasks import Score
 from rrmctl.errors import UserError
+from rrmctl.reports.styles import Looks, styles
 from rrmctl.stats import CommonStep, common_step
 from rrmctl.store.trials import Trial
 
@@ -161,6 +162,10 @@ class Section:
         if self.refusal is not None:
             raise self.refusal
         return self
+
+    def looks(self) -> Looks:
+        """How its methods are drawn, with or without runs."""
+        return styles(each.label.method for each in self.series)
 
     @property
     def contained(self) -> int:

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from rrmctl.reports.canvas import TEXT, WIDEST, look
 from rrmctl.reports.settings import Width
+from rrmctl.reports.styles import LINE, Style
 
 if TYPE_CHECKING:
-    from matplotlib.artist import Artist
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
@@ -56,7 +56,13 @@ def shape(panels: int, width: Width, most: int = 3) -> Shape:
 
 
 def cells_sheet(
-    heading: str, cells: Sequence[Cell], *, size: Width, handles: Sequence[Artist], notes: Iterable[str], most: int = 3
+    heading: str,
+    cells: Sequence[Cell],
+    *,
+    size: Width,
+    handles: Mapping[str, Style],
+    notes: Iterable[str],
+    most: int = 3,
 ) -> Figure:
     """A figure of equal panels; axes are named where the neighbour's name does not hold."""
     form = shape(len(cells), size, most)
@@ -85,7 +91,7 @@ def sheet(
     *,
     size: Width,
     width: float,
-    handles: Sequence[Artist],
+    handles: Mapping[str, Style],
     notes: Iterable[str],
 ) -> Iterator[tuple[Figure, list[list[Axes]]]]:
     """An empty figure and its axes [len(heights)][across], to be filled inside the `with`.
@@ -96,28 +102,31 @@ def sheet(
         across: panels in a row.
         size: of the letters.
         width: of the figure, inches.
-        handles: of the legend, labelled.
+        handles: of the legend, by label.
         notes: sentences for the foot.
     """
-    import matplotlib as mpl
-    from matplotlib.figure import Figure
+    with look(size):
+        from matplotlib.figure import Figure
+        from matplotlib.lines import Line2D
 
-    point = 1 / 72
-    letters = TEXT[size]
-    columns = _legend_columns([str(each.get_label()) for each in handles], width, letters)
-    head = wrapped(heading, letters + 1, width)
-    foot = wrapped(" ".join(notes), _NOTE_SIZE[size], width)
-    above = sum(heights) + len(head) * 1.3 * (letters + 1) * point
-    below = (
-        0.12 + 1.55 * letters * point * math.ceil(len(handles) / columns) + 1.38 * _NOTE_SIZE[size] * point * len(foot)
-    )
-    with mpl.rc_context(look(size)):
+        point = 1 / 72
+        letters = TEXT[size]
+        columns = _legend_columns(list(handles), width, letters)
+        head = wrapped(heading, letters + 1, width)
+        foot = wrapped(" ".join(notes), _NOTE_SIZE[size], width)
+        above = sum(heights) + len(head) * 1.3 * (letters + 1) * point
+        below = (
+            0.12
+            + 1.55 * letters * point * math.ceil(len(handles) / columns)
+            + 1.38 * _NOTE_SIZE[size] * point * len(foot)
+        )
         figure = Figure(figsize=(width, above + below), layout="constrained")
         strips: Any = figure.subfigures(2, 1, height_ratios=(above, below))
         upper, lower = strips
         upper.suptitle("\n".join(head), fontsize=letters + 1)
         grid = upper.subplots(len(heights), across, squeeze=False, gridspec_kw={"height_ratios": heights})
-        lower.legend(handles=handles, loc="upper center", ncols=columns, **_LEGEND)
+        lines = [Line2D([], [], label=label, **LINE | each._asdict()) for label, each in handles.items()]
+        lower.legend(handles=lines, loc="upper center", ncols=columns, **_LEGEND)
         lower.text(0.5, 0.03, "\n".join(foot), ha="center", va="bottom", fontsize=_NOTE_SIZE[size], color="#444444")
         yield figure, grid.tolist()
 

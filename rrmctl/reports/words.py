@@ -4,15 +4,12 @@ from __future__ import annotations
 
 import json
 from collections import Counter, defaultdict
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from typing import Any
 
 from rrmctl.reports.series import NOTHING_ASKED, Label, Section
 from rrmctl.reports.settings import BOOTSTRAP_SEED, SURE, Settings
-from rrmctl.stats import MIN_RUNS
-
-#: Of tables that set the best method in bold.
-BEST_NOTE = "Bold: the highest of the methods but the oracle; where intervals overlap, that may be chance."
+from rrmctl.stats import MIN_RUNS, REPLICATES
 
 
 def facts(section: Section, settings: Settings) -> dict[str, Any]:
@@ -65,8 +62,9 @@ def _plain(value: Any) -> str:
 
 
 def contents_notes(section: Section) -> Iterator[str]:
-    """How many of the planned runs are in it, which are not, and what had to be left out."""
-    yield f"{section.contained} of {section.planned} planned runs; column n says how many of each row's."
+    """Where planned runs are not in it: how many and which; and what had to be left out or is remarkable."""
+    if section.contained < section.planned:
+        yield f"{section.contained} of {section.planned} planned runs."
     yield from absent_notes(section)
     yield from section.problems
     yield from section.remarks
@@ -131,23 +129,35 @@ _KIND_IN_WORDS = {
 COVERAGE = {3: (71, 76), 4: (82, 87), 5: (84, 92), 7: (85, 92), 10: (90, 94), 20: (93, 95)}
 
 
-def _coverage(section: Section) -> str:
-    """What the interval is worth with the numbers of seeds that the section has."""
-    counts = {each.n for each in section.series if each.n >= min(COVERAGE)}
-    known = sorted({max(n for n in COVERAGE if n <= count) for count in counts})
-    if not known:
-        return ""
-    worth = ", ".join(f"{COVERAGE[n][0]}-{COVERAGE[n][1]} % with {n}" for n in known)
-    return f" With few seeds it covers less than its name says: about {worth}."
+def _told_coverage(counts: Iterable[int]) -> str:
+    return ", ".join(f"{COVERAGE[n][0]}-{COVERAGE[n][1]} % with {n}" for n in counts)
+
+
+#: Seeds from which on an interval covers about what its name says.
+_ENOUGH = 10
+_USUAL_EVALUATION = "10 episodes an evaluation, success at any step of an episode, deterministic policy"
+
+#: What holds of every table, unless a note below it says otherwise.
+EXPLAINED = (
+    "n: the runs behind a row, of those planned.",
+    f"IQM: {_KIND_IN_WORDS['rliable']}, of one number per seed; its episodes are averaged first.",
+    f"Interval: {SURE} percentile bootstrap over seeds with tasks as strata, {REPLICATES:,} replicates, generator seed "
+    f"{BOOTSTRAP_SEED}; none below {MIN_RUNS} seeds. With few seeds it covers less than its name says: about "
+    f"{_told_coverage(COVERAGE)}.",
+    "25-75 %: the spread of the seeds, not an interval.",
+    "Bold: the highest of the methods but the oracle; where intervals overlap, that may be chance.",
+    f"Evaluation: {_USUAL_EVALUATION}.",
+)
 
 
 def statistics_notes(section: Section, settings: Settings) -> Iterator[str]:
-    """How the numbers were made: the mean, its interval and what that is worth, and the protocol of an evaluation."""
-    yield f"IQM: {_KIND_IN_WORDS[settings.kind]}, of one number per seed; its episodes are averaged first."
-    yield (
-        f"Interval: {SURE} percentile bootstrap over seeds with tasks as strata, {settings.replicates:,} "
-        f"replicates, generator seed {BOOTSTRAP_SEED}; none below {MIN_RUNS} seeds.{_coverage(section)} "
-        "The 25-75 % range is the spread of the seeds, not an interval."
-    )
-    for protocol in section.evaluation:
-        yield f"Evaluation: {protocol}."
+    """In what the numbers were made otherwise than `EXPLAINED` says, and what intervals are worth with so few seeds."""
+    if settings.kind != "rliable":
+        yield f"IQM: {_KIND_IN_WORDS[settings.kind]}."
+    if settings.replicates != REPLICATES:
+        yield f"Intervals: {settings.replicates:,} replicates."
+    counts = {each.n for each in section.series if min(COVERAGE) <= each.n < _ENOUGH}
+    if counts:
+        known = sorted({max(n for n in COVERAGE if n <= count) for count in counts})
+        yield f"A {SURE} interval of so few seeds holds the truth less often: about {_told_coverage(known)}."
+    yield from (f"Evaluation: {each}." for each in section.evaluation if not _USUAL_EVALUATION.startswith(each))

@@ -13,14 +13,15 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from rrm.process import environment
 from rrmctl.running.scheduler import Ending, Outcome
 from rrmctl.running.worker import WorkerExit
 from rrmctl.store.atomic import storage_error
 from rrmctl.store.layout import Layout
 from rrmctl.store.records import ErrorKind, RunError
 
-#: How a worker is started. -P: files that lie around are not modules.
-WORKER = (sys.executable, "-P", "-m", "rrmctl.running.worker")
+#: How a worker is started.
+WORKER = (sys.executable, "-m", "rrmctl.running.worker")
 
 #: Variables from which libraries take their number of threads when they are imported.
 _THREAD_VARIABLES = (
@@ -31,6 +32,7 @@ _THREAD_VARIABLES = (
 _UNHEARD: dict[int, tuple[ErrorKind, str]] = {
     WorkerExit.STORAGE: (ErrorKind.STORAGE, "the results folder took no write"),
     WorkerExit.REFUSED: (ErrorKind.REFUSED, "it cannot be run"),
+    WorkerExit.MISSING: (ErrorKind.MISSING, "a file that it was planned with is not there"),
 }
 
 
@@ -74,7 +76,9 @@ class Child:
         self._memory_kills = _killed_for_memory()
         reading, writing = os.pipe()
         try:
-            self._process = _start(layout, job, [*command, str(layout.root), job, *options], writing, threads)
+            # Absolute: code of the user's may change the folder.
+            order = [*command, str(layout.root.absolute()), job, *options]
+            self._process = _start(layout, job, order, writing, threads)
         except BaseException:
             os.close(reading)
             raise
@@ -207,14 +211,9 @@ def _message(line: bytes) -> dict[str, Any]:
 
 
 def worker_environment(threads: int, base: Mapping[str, str] = os.environ) -> dict[str, str]:
-    """The environment of a worker: threads limited, no renderer unless the user chose one."""
-    environment = dict(base) | dict.fromkeys(_THREAD_VARIABLES, str(threads))
-    # A log can take any message, whatever the locale.
-    environment |= {"PYTHONUNBUFFERED": "1", "PYTHONIOENCODING": "utf-8:backslashreplace"}
-    environment.setdefault("MUJOCO_GL", "disabled")
-    # mujoco leaves its choice of renderer there, and a child with another choice refuses to start.
-    environment.pop("PYOPENGL_PLATFORM", None)
-    return environment
+    """The environment of a worker: threads limited, and a log that can take any message, whatever the locale."""
+    log = {"PYTHONUNBUFFERED": "1", "PYTHONIOENCODING": "utf-8:backslashreplace"}
+    return environment(base) | dict.fromkeys(_THREAD_VARIABLES, str(threads)) | log
 
 
 def _start(layout: Layout, job: str, command: list[str], pipe: int, threads: int) -> subprocess.Popen[bytes]:

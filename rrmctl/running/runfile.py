@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,6 +14,16 @@ from rrmctl.store.reader import CONFIG_HINT, read_config
 if TYPE_CHECKING:
     from rrm.training.config import RunConfig
     from rrm.training.demos import DemosConfig
+
+_BACK = (
+    "bring it back, then `rrmctl resume` goes on; or run the experiment again with the file where it is now: the same "
+    "content is the same run, a changed one makes new runs"
+)
+
+
+class MissingFileError(UserError):
+    """A file of the user's that a run was planned with is not there now: no fault of the run's."""
+
 
 #: Keys beside those of the configuration.
 _LABELS = ("id", "cell", "method", "config_version", "kind", "steps")
@@ -32,7 +43,8 @@ def load_config(folder: RunFolder) -> RunConfig | DemosConfig:
 
     Raises:
         DamagedError: the file is missing, damaged or edited.
-        UserError, RrmError: it is of another version, or a file it names has changed.
+        MissingFileError: a file of the user's that it names is not there now, or is another one by now.
+        UserError, RrmError: it is of another version.
     """
     from pydantic import ValidationError
 
@@ -46,33 +58,52 @@ def load_config(folder: RunFolder) -> RunConfig | DemosConfig:
             f"this program trains version {CONFIG_VERSION}",
             "use the rrmctl that wrote it, or run the experiment into another --results folder",
         )
+    _check_files(stored)
     model = DemosConfig if stored.get("kind") == "demos" else RunConfig  # written before there were kinds: a run
     fields = {key: value for key, value in stored.items() if key not in _LABELS or key in model.model_fields}
     try:
         config = model.model_validate(fields)
     except ValidationError as error:
         raise DamagedError(f"{folder.config} is not a configuration: {error}", CONFIG_HINT) from error
-    if isinstance(config, RunConfig):
-        _check_files(config)
     if config.identity != folder.id:
         told = f"{folder.config} describes run {config.identity}, not {folder.id}: it was edited"
         raise DamagedError(told, CONFIG_HINT)
     return config
 
 
-def _check_files(config: RunConfig) -> None:
-    """Refuse a user's file that is no longer the one the run was planned with: it would be another run."""
-    from rrm.registry import file_digest, source_digest
+def code_files(stored: Mapping[str, Any]) -> dict[str, str]:
+    """The digests of the files with code that a run of this configuration would run, by path.
 
-    reward, demos = config.reward, config.imitation.demos
-    named = [(reward.prior, reward.prior_digest), (reward.learner, reward.learner_digest)]
-    found = [(name.rpartition(":")[0], source_digest(name), planned) for name, planned in named if name is not None]
-    if demos is not None:
-        found.append((demos, file_digest(Path(demos), "imitation.demos"), config.imitation.demos_digest))
-    for path, digest, planned in found:
-        if digest != planned:
-            raise UserError(
-                f"{path} has changed since this run was planned with it",
-                "run the experiment again: the changed file makes new runs; or bring the old file back, then "
-                "`rrmctl resume --retry-failed`",
-            )
+    Frozen language priors are none of them: such code can do nothing but compute.
+    """
+    named = {path: str(digest) for key, path, digest in _user_files(stored) if key != "demos"}
+    if not named:
+        return named
+    from rrm.registry import LANGUAGE
+
+    return {path: digest for path, digest in named.items() if not path.endswith(LANGUAGE)}
+
+
+def _user_files(stored: Mapping[str, Any]) -> Iterator[tuple[str, str, Any]]:
+    """Setting, path and planned digest of each file of the user's that a configuration names."""
+    from rrm.registry import is_file_reference
+
+    for section, key in (("reward", "prior"), ("reward", "learner"), ("imitation", "demos")):
+        settings = stored.get(section) or {}
+        name = settings.get(key) if isinstance(settings, dict) else None
+        if isinstance(name, str) and (key == "demos" or is_file_reference(name)):
+            yield key, name if key == "demos" else name.rpartition(":")[0], settings.get(f"{key}_digest")
+
+
+def _check_files(stored: Mapping[str, Any]) -> None:
+    """Refuse a user's file that is not the one the run was planned with: it would be another run."""
+    from rrm.errors import ConfigError
+    from rrm.registry import file_digest
+
+    for key, path, planned in _user_files(stored):
+        try:
+            changed = file_digest(Path(path), key) != planned
+        except ConfigError as error:
+            raise MissingFileError(str(error), _BACK) from error
+        if changed:
+            raise MissingFileError(f"{path} has changed since this run was planned with it", _BACK)

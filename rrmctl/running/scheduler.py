@@ -175,6 +175,8 @@ class Scheduler:
         if error.kind is ErrorKind.STORAGE:
             self.stop()  # whatever starts next would meet the same folder
             return Phase.STOPPED
+        if error.kind is ErrorKind.MISSING:
+            return Phase.STOPPED  # others may have what they need
         if error.kind not in RETRIED:
             return Phase.FAILED
         killed = error.kind is ErrorKind.KILLED

@@ -21,10 +21,11 @@ from enum import IntEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol, TypeVar
 
+from rrmctl.commands import rrmctl
 from rrmctl.errors import UserError
 from rrmctl.running.lifeline import Leave, Pipe, StopRequest, say
 from rrmctl.running.monitor import RunMonitor
-from rrmctl.running.runfile import load_config
+from rrmctl.running.runfile import MissingFileError, load_config
 from rrmctl.store import atomic, provenance
 from rrmctl.store.layout import Layout, RunFolder
 from rrmctl.store.lease import Beat, Lease, LeaseLostError
@@ -32,6 +33,7 @@ from rrmctl.store.reader import read_config
 from rrmctl.store.records import ErrorKind, RunError, State, Status, read_status, write_status
 from rrmctl.store.schema import IDENTITY
 from rrmctl.store.writer import CurveWriter
+from rrmctl.streams import attend
 
 if TYPE_CHECKING:
     from rrm.training.config import RunConfig
@@ -47,6 +49,7 @@ class WorkerExit(IntEnum):
     DONE = 0
     CRASHED = 1  #: an exception nobody foresaw; its traceback is in the log
     REFUSED = 2  #: a mistake in what it was given; trying again would not help
+    MISSING = 66  #: a file of the user's is not there now
     STORAGE = 74  #: the results folder took no write
     STOPPED = 75  #: checkpointed; the next worker goes on
     LOCKED = 76  #: another process owns the run
@@ -249,8 +252,10 @@ def _reason(folder: RunFolder, error: Exception) -> tuple[WorkerExit, RunError]:
         error = atomic.storage_error(Path(error.filename or folder.path), error, "read or write")
     name = type(error).__name__
     if isinstance(error, atomic.StorageError):
-        message = f"{error} ({error.todo}, then `rrmctl resume` goes on)"
+        message = f"{error} ({error.todo}, then `{rrmctl('resume', results=folder.results)}` goes on)"
         return WorkerExit.STORAGE, RunError(kind=ErrorKind.STORAGE, type=name, message=message)
+    if isinstance(error, MissingFileError):
+        return WorkerExit.MISSING, RunError(kind=ErrorKind.MISSING, type=name, message=_told(error))
     if isinstance(error, UserError | RrmError):
         others = isinstance(error, atomic.DamagedError | MissingResultError)
         kind = ErrorKind.DAMAGED if others else ErrorKind.REFUSED
@@ -272,4 +277,5 @@ def _log(text: str) -> None:
 
 
 if __name__ == "__main__":
+    attend()
     sys.exit(main())

@@ -6,6 +6,7 @@ import contextlib
 import errno
 import fcntl
 import json
+import math
 import os
 import time
 import zlib
@@ -14,7 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rrm import parquet
-from rrm.files import make_folder, sync_folder, write_atomically
+from rrm.files import make_folder, read_bounded, sync_folder, write_atomically
 from rrmctl.errors import Exit, UserError
 
 if TYPE_CHECKING:
@@ -113,6 +114,9 @@ def write_json(path: Path, value: Mapping[str, Any]) -> None:
 _CHECKSUM = b',\n "checksum": "%08x"\n}\n'
 _LENGTH = len(_CHECKSUM % 0)
 
+_LARGEST = 2**28  # bytes; the record of a hundred thousand runs has an eighth of it
+_DEEPEST = 50
+
 
 def read_json(path: Path) -> dict[str, Any] | None:
     """The object in `path`; None where there is no such file.
@@ -122,14 +126,14 @@ def read_json(path: Path) -> dict[str, Any] | None:
         StorageError: it cannot be read now.
     """
     try:
-        with path.open("rb") as file:
-            data = file.read()
-        value = json.loads(data)
+        data = read_bounded(path, _LARGEST)
+        value = json.loads(data.decode())
+        _refuse_odd(value)
     except (FileNotFoundError, NotADirectoryError):
         return None
     except OSError as error:
         raise unreadable(path, error) from error
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise DamagedError(f"{path} cannot be read: {error}", "move it away; what it recorded is made again") from error
     if not isinstance(value, dict):
         raise DamagedError(f"{path} does not hold a JSON object", "move it away; what it recorded is made again")
@@ -141,6 +145,26 @@ def read_json(path: Path) -> dict[str, Any] | None:
                 "move it away; what it recorded is made again",
             )
     return value
+
+
+def _refuse_odd(value: Any) -> None:
+    """Refuse what JSON can say, no file of the store does, and readers would stumble over. Raises ValueError."""
+    left = [(value, 0)]
+    while left:
+        value, depth = left.pop()
+        if depth > _DEEPEST:
+            raise ValueError(f"nested more than {_DEEPEST} times")
+        match value:
+            case dict():
+                left += [(each, depth + 1) for both in value.items() for each in both]
+            case list():
+                left += [(each, depth + 1) for each in value]
+            case str():
+                value.encode()  # halves of characters
+            case int() if not -(2**63) <= value < 2**63:
+                raise ValueError("an integer of more than 64 bits")
+            case float() if not math.isfinite(value):
+                raise ValueError(f"{value} is no number")
 
 
 def remove_leftovers(folder: Path) -> None:
@@ -214,11 +238,17 @@ def locked(path: Path) -> Iterator[None]:
 
 
 def is_locked(path: Path) -> bool:
-    """Whether a living process holds the lock behind `path`. Works on folders that cannot be written."""
+    """Whether a living process holds the lock behind `path`. Works on folders that cannot be written.
+
+    Raises:
+        StorageError: it cannot be looked at now.
+    """
     try:
-        descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
+        descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
     except (FileNotFoundError, NotADirectoryError):
         return False
+    except OSError as error:
+        raise unreadable(path, error) from error
     try:
         # Shared and for an instant: two readers do not disturb each other, and a worker that meets one waits a moment.
         fcntl.flock(descriptor, fcntl.LOCK_SH | fcntl.LOCK_NB)

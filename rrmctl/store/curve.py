@@ -7,16 +7,19 @@ import zlib
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from rrmctl.commands import rrmctl
 from rrmctl.store import shape
 from rrmctl.store.atomic import DamagedError
+from rrmctl.store.layout import RunFolder
 from rrmctl.store.schema import CHECKSUM_KEY, IDENTITY, MEASURED, VERSION_KEY, curve_schema
 
 if TYPE_CHECKING:
     import pyarrow as pa
 
-_AGAIN = "bring back a copy, or train the run again with --force"
 #: Settings that read quickest at a few hundred rows; thousands of such files are read at a time.
 SETTINGS = {"compression": "snappy", "use_dictionary": False, "write_statistics": False, "write_page_checksum": True}
+
+LARGEST = 2**30  # bytes of a file; a row has some hundred
 
 _TEXTS = [name for name, kind in IDENTITY.items() if kind == "string"]
 
@@ -42,25 +45,31 @@ def decode(data: bytes, path: Path) -> pa.Table:
     import pyarrow as pa
     import pyarrow.parquet as pq
 
+    again = f"bring back a copy, or train the run again: {rerunning(RunFolder(path.parent))}"
     try:
         file = pq.ParquetFile(pa.BufferReader(data), page_checksum_verification=True)
         metadata = file.schema_arrow.metadata or {}
         version = int(metadata.get(VERSION_KEY, b"none"))
         table: pa.Table = file.read(use_threads=False)  # callers read many files at a time
-    except (pa.ArrowException, OSError, ValueError) as error:
-        raise DamagedError(f"{path} is damaged: {error}", _AGAIN) from error
-    shape.check_version({"schema_version": version}, path, _AGAIN)
-    figures = [name for name in table.schema.names if name not in IDENTITY | MEASURED]
-    schema = curve_schema(figures)
+        found = _checksum(table)
+    except (pa.ArrowException, OSError, ValueError, TypeError) as error:  # TypeError: a text that is missing
+        raise DamagedError(f"{path} is damaged: {error}", again) from error
+    shape.check_version({"schema_version": version}, path, again)
+    schema = curve_schema(name for name in table.schema.names if name not in IDENTITY | MEASURED)
     if sorted(table.schema, key=_name) != sorted(schema, key=_name):
-        raise DamagedError(f"{path} is damaged: its columns are not those of a curve", _AGAIN)
-    if metadata.get(CHECKSUM_KEY) != _checksum(table):
-        raise DamagedError(f"{path} is damaged: its content does not match its checksum", _AGAIN)
+        raise DamagedError(f"{path} is damaged: its columns are not those of a curve", again)
+    if metadata.get(CHECKSUM_KEY) != found:
+        raise DamagedError(f"{path} is damaged: its content does not match its checksum", again)
     return table.select(schema.names)
 
 
 def _name(field: pa.Field) -> str:
     return str(field.name)
+
+
+def rerunning(folder: RunFolder) -> str:
+    """Where the command is said that trains a run again."""
+    return f"`{rrmctl('show', folder.id, results=folder.results)}` says how"
 
 
 def _checksum(table: pa.Table) -> bytes:

@@ -6,7 +6,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from rrm.files import read_bounded
 from rrmctl.store.atomic import DamagedError, unreadable
+from rrmctl.store.curve import LARGEST, rerunning
 from rrmctl.store.frame import NUMBER, TEXT, WHOLE, frame, typed
 from rrmctl.store.layout import RunFolder
 from rrmctl.store.reader import new_results
@@ -43,16 +45,16 @@ def _read(folder: RunFolder) -> pd.DataFrame:
     import pyarrow as pa
     import pyarrow.parquet as pq
 
-    hint = "train the run again with --force, or remove the file"
+    hint = f"remove the file, or train the run again: {rerunning(folder)}"
     try:
-        data = folder.gradients.read_bytes()
+        data = read_bounded(folder.gradients, LARGEST)
     except OSError as error:
         raise unreadable(folder.gradients, error) from error
     try:
         file = pq.ParquetFile(pa.BufferReader(data), page_checksum_verification=True)
-        norms: pd.DataFrame = file.read().to_pandas()
-    except (pa.ArrowException, OSError, ValueError) as error:
+        norms: pd.DataFrame = file.read(use_threads=False).to_pandas(use_threads=False)
+        if tuple(norms.columns) != _COLUMNS:
+            raise ValueError(f"its columns are {', '.join(norms.columns)}")
+        return typed(norms.assign(run=folder.id)[list(_KINDS)], _KINDS)
+    except (pa.ArrowException, OSError, ValueError, TypeError) as error:
         raise DamagedError(f"{folder.gradients} is damaged: {error}", hint) from error
-    if tuple(norms.columns) != _COLUMNS:
-        raise DamagedError(f"{folder.gradients} is damaged: its columns are {', '.join(norms.columns)}", hint)
-    return typed(norms.assign(run=folder.id)[list(_KINDS)], _KINDS)

@@ -85,7 +85,7 @@ def inventory(
 
 def _run(folder: RunFolder, plan: dict[str, Any]) -> Run:
     rows = read_curve(folder)
-    curve: pd.DataFrame = (curve_schema().empty_table() if rows is None else rows).to_pandas()
+    curve: pd.DataFrame = (curve_schema().empty_table() if rows is None else rows).to_pandas(use_threads=False)
     config = read_config(folder) if folder.config.exists() else None
     return Run(plan=plan, config=config, provenance=read_provenance(folder), curve=curve.drop(columns=list(IDENTITY)))
 

@@ -46,6 +46,11 @@ class RunFolder:
         return self.path.name
 
     @property
+    def results(self) -> Path:
+        """The results root that it lies in."""
+        return self.path.parent.parent
+
+    @property
     def config(self) -> Path:
         """Written once, before the run starts."""
         return self.path / "config.json"
@@ -135,9 +140,7 @@ class Layout:
     def sweep_files(self, experiment: str) -> list[Path]:
         """The records of all variants of an experiment, sorted; none where it never ran here. Others are ignored."""
         folder = self._sweeps(experiment)
-        return [
-            folder / name for name in _names(folder, lambda entry: entry.name.endswith(".json") and entry.is_file())
-        ]
+        return [folder / name for name in _names(folder, lambda entry: entry.suffix == ".json" and entry.is_file())]
 
     def experiments(self) -> list[str]:
         """Experiments with a sweep record, sorted. What is not a folder with an experiment's name is ignored."""
@@ -155,10 +158,10 @@ class Layout:
         return self.root / "sweeps" / _checked("experiment", experiment)
 
 
-def _names(folder: Path, wanted: Callable[[os.DirEntry[str]], bool]) -> list[str]:
+def _names(folder: Path, wanted: Callable[[Path], bool]) -> list[str]:
     try:
         with os.scandir(folder) as entries:
-            return sorted(entry.name for entry in entries if _NAME.fullmatch(entry.name) and wanted(entry))
+            return sorted(entry.name for entry in entries if _NAME.fullmatch(entry.name) and wanted(Path(entry)))
     except (FileNotFoundError, NotADirectoryError):
         return []
 

@@ -28,7 +28,8 @@ from contextlib import AbstractContextManager
 from dataclasses import dataclass
 
 from rrm.files import replace
-from rrmctl.store.atomic import StorageError, is_open_at, storage_error, try_lock
+from rrmctl.errors import UserError
+from rrmctl.store.atomic import StorageError, is_open_at, read_json, storage_error, try_lock
 from rrmctl.store.layout import RunFolder
 from rrmctl.waking import WakingTime
 
@@ -60,9 +61,9 @@ class Beat:
 def read_beat(folder: RunFolder) -> Beat | None:
     """The last sign of life; None where there is none, or none that can be read."""
     try:
-        value = json.loads(folder.lease.read_bytes())
-        return Beat(str(value["owner"]), int(value["count"]))
-    except (OSError, ValueError, TypeError, KeyError):
+        value = read_json(folder.lease)
+        return None if value is None else Beat(str(value["owner"]), int(value["count"]))
+    except (UserError, ValueError, TypeError, KeyError):
         return None
 
 
@@ -76,6 +77,8 @@ class Lease:
         self._owner = secrets.token_hex(8)
         self._count = 0
         self._released = threading.Event()
+        self._umask = os.umask(0o077)  # to be asked it has to be set
+        os.umask(self._umask)
         self._write()
 
     def _hold(self, lock: int) -> Lease:
@@ -153,6 +156,7 @@ class Lease:
             # One that is gone is not ours either: whoever took the run over has finished with it.
             if beat is None or beat.owner != self._owner:
                 raise LeaseLostError(f"{self.folder.id} belongs to another process by now")
+            os.umask(self._umask)  # code of the user's may have set another
             yield
 
     def _write(self) -> None:

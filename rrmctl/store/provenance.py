@@ -15,9 +15,10 @@ from pathlib import Path
 from typing import Any
 
 import rrm
+from rrmctl.errors import UserError
 from rrmctl.machine import cpu_model
 from rrmctl.store import shape
-from rrmctl.store.atomic import read_json, write_json
+from rrmctl.store.atomic import DamagedError, read_json, write_json
 from rrmctl.store.layout import RunFolder
 from rrmctl.store.schema import SCHEMA_VERSION
 
@@ -80,7 +81,30 @@ def read_provenance(folder: RunFolder) -> dict[str, Any] | None:
     if known is not None:
         hint = "move it away; what the run ran with until now is then unknown"
         shape.check_version(dict(known), folder.provenance, hint)
+        try:
+            _check(known)
+        except (AttributeError, TypeError, ValueError, KeyError) as problem:
+            raise DamagedError(f"{folder.provenance} is damaged: {problem}", hint) from problem
     return known
+
+
+def _check(known: Mapping[str, Any]) -> None:
+    """See that what is read of it can be."""
+    datetime.datetime.fromisoformat(known.get("started", "2000-01-01"))
+    " ".join(known.get("argv", ()))
+    known.get("versions", {}).items()
+    for entry in known.get("resumed", ()):
+        for _before, _after in entry["changes"].values():
+            pass
+
+
+def asked_by(folder: RunFolder) -> list[str]:
+    """The command that asked for the run's first attempt; empty where that is not known."""
+    try:
+        known = read_provenance(folder) or {}
+    except UserError:
+        return []
+    return list(map(str, known.get("argv", [])))
 
 
 def record(folder: RunFolder, now: Provenance) -> list[str]:

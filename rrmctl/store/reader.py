@@ -6,15 +6,15 @@ import dataclasses
 import json
 import os
 from collections.abc import Iterable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from rrm.files import place
+from rrm.files import open_regular, place, read_bounded
+from rrmctl.commands import rrmctl
 from rrmctl.errors import UserError
 from rrmctl.store import shape
 from rrmctl.store.atomic import DamagedError, StorageError, is_locked, read_json, unreadable
-from rrmctl.store.curve import decode
+from rrmctl.store.curve import LARGEST, decode, rerunning
 from rrmctl.store.frame import TEXT, WHOLE, frame, typed
 from rrmctl.store.layout import Layout, RunFolder
 from rrmctl.store.records import ErrorKind, RunError, State, Status, read_status
@@ -36,11 +36,11 @@ def run_status(folder: RunFolder) -> Status:
     """
     try:
         status = read_status(folder)
+        if status.state is State.RUNNING and not is_locked(folder.lock):
+            return dataclasses.replace(status, state=State.INTERRUPTED)
     except (DamagedError, StorageError) as error:
         problem = RunError(kind=ErrorKind.STORAGE, type=type(error).__name__, message=str(error))
         return Status(state=State.UNREADABLE, error=problem)
-    if status.state is State.RUNNING and not is_locked(folder.lock):
-        return dataclasses.replace(status, state=State.INTERRUPTED)
     return status
 
 
@@ -105,13 +105,15 @@ _CONFIG = dict.fromkeys(("id", "cell", "profile", "task", "method", "precision")
 
 
 def log_tail(folder: RunFolder, lines: int = 15) -> list[str]:
-    """The last lines of a run's log; none where it has not started."""
+    """The last lines of a run's log; none where it has not started, and why where it cannot be read."""
     try:
-        with folder.log.open("rb") as file:
+        with open_regular(folder.log) as file:
             file.seek(max(0, file.seek(0, os.SEEK_END) - 400 * lines))
             return file.read().decode(errors="replace").splitlines()[-lines:]
-    except FileNotFoundError:
+    except (FileNotFoundError, NotADirectoryError):
         return []
+    except OSError as error:
+        return [f"{folder.log} cannot be read: {error.strerror}"]
 
 
 def read_curve(folder: RunFolder) -> pa.Table | None:
@@ -125,7 +127,7 @@ def read_curve(folder: RunFolder) -> pa.Table | None:
     path = folder.curve
     try:
         # In one read: the file may be replaced by its successor at any moment, and this one stays what it was.
-        data = path.read_bytes()
+        data = read_bounded(path, LARGEST)
     except (FileNotFoundError, NotADirectoryError):
         return None
     except OSError as error:
@@ -135,7 +137,7 @@ def read_curve(folder: RunFolder) -> pa.Table | None:
     if others:
         raise DamagedError(
             f"{path} is the curve of run {', '.join(sorted(others))}, not of {folder.id}",
-            "bring back its own, or train the run again with --force",
+            f"bring back its own, or train the run again: {rerunning(folder)}",
         )
     return table
 
@@ -164,7 +166,8 @@ def load(results: str | Path = "results", experiment: str | None = None) -> pd.D
     Returns:
         Columns `experiment, variant, profile, task, method, teacher, feedback, seed, run, cell, state`, those of
         `rrm.types.EvalRow`, then whatever figures the runs have: text (`rrmctl.store.frame`), `seed` and what is
-        counted int64, what is measured float64 and NaN where there is nothing. A run that two experiments or two labels share appears once for each.
+        counted int64, what is measured float64 and NaN where there is nothing. A run that two experiments or two labels
+        share appears once for each.
 
     Raises:
         UserError: the experiment has never been run here, or a file is damaged; the message names it.
@@ -221,7 +224,8 @@ def open_results(results: str | Path) -> Layout:
     """
     layout = new_results(results)
     if not layout.root.is_dir():
-        raise UserError(f"there is no results folder {layout.root}", "`rrmctl run` makes one; --results names another")
+        begin = rrmctl("run", "quickstart", results=layout.root)
+        raise UserError(f"there is no results folder {layout.root}", f"`{begin}` makes one; --results names another")
     return layout
 
 
@@ -251,7 +255,7 @@ def find_sweeps(layout: Layout, experiment: str) -> list[SweepRecord]:
         raise UserError(
             f"{layout.root} holds no runs of {experiment!r}; it holds: {', '.join(known) or 'nothing yet'}"
             f"{nearest(experiment, known)}",
-            f"start it with `rrmctl run {experiment}`, or name another folder with --results",
+            "`rrmctl list` names what there is to run; or name another folder with --results",
         )
     return sweeps
 
@@ -263,14 +267,18 @@ def find_run(layout: Layout, prefix: str) -> RunFolder:
         UserError: none does, or several do, or `prefix` is empty.
     """
     if not prefix:
-        raise UserError("no run was named", "give its id or the first digits of it; `rrmctl status --failed` lists ids")
+        raise UserError("no run was named", f"give its id or the first digits of it; {_ids(layout)}")
     matches = [run for run in layout.run_ids() if run.startswith(prefix)]
     if len(matches) == 1:
         return layout.run(matches[0])
     if not matches:
-        raise UserError(f"no run in {layout.root} starts with {prefix!r}", "`rrmctl status --failed` lists ids")
+        raise UserError(f"no run in {layout.root} starts with {prefix!r}", _ids(layout))
     shown = ", ".join(matches[:8]) + (", ..." if len(matches) > 8 else "")
     raise UserError(f"{prefix!r} stands for {len(matches)} runs: {shown}", "give more digits")
+
+
+def _ids(layout: Layout) -> str:
+    return f"ids are the names of the folders in {layout.root / 'runs'}"
 
 
 def _planned_row(sweep: SweepRecord, job: JobRecord, status: Status) -> tuple[Any, ...]:
@@ -298,8 +306,6 @@ def _curves(layout: Layout, runs: Sequence[str]) -> pd.DataFrame:
     """`run`, the measured columns and the figures of all these runs; NaN where a run has no such figure."""
     import pyarrow as pa
 
-    # Threads: parsing frees the interpreter, and on network disks the waiting counts most.
-    with ThreadPoolExecutor(max_workers=8) as threads:
-        tables = [table for table in threads.map(lambda run: read_curve(layout.run(run)), runs) if table is not None]
-    curves: pa.Table = pa.concat_tables([curve_schema().empty_table(), *tables], promote_options="permissive")
-    return typed(curves.drop_columns([name for name in IDENTITY if name != "run"]).to_pandas())
+    tables = [table for run in runs if (table := read_curve(layout.run(run))) is not None]
+    curves: pa.Table = pa.concat_tables([curve_schema().empty_table(), *tables], promote_options="default")
+    return typed(curves.drop_columns([name for name in IDENTITY if name != "run"]).to_pandas(use_threads=False))

@@ -10,6 +10,7 @@ from enum import StrEnum
 from pathlib import Path
 from typing import Any, Self
 
+from rrmctl.commands import rrmctl
 from rrmctl.store import shape
 from rrmctl.store.atomic import (
     PATIENCE_S,
@@ -45,6 +46,7 @@ class ErrorKind(StrEnum):
     MEMORY = "memory"  #: took more memory than it may and was ended
     STORAGE = "storage"  #: the results folder took no write
     DAMAGED = "damaged"  #: a file that others make for it is damaged or gone; once that is made again, it goes on
+    MISSING = "missing"  #: a file of the user's is not there now
     BLOCKED = "blocked"  #: a run that it needs has failed
 
 
@@ -57,8 +59,8 @@ class RunError:
     message: str
 
     def __str__(self) -> str:
-        # A place that takes no write, or a run that failed, is named by the message; the class says no more.
-        named = self.kind in (ErrorKind.STORAGE, ErrorKind.BLOCKED)
+        # A place, a file or a run is named by the message; the class says no more.
+        named = self.kind in (ErrorKind.STORAGE, ErrorKind.MISSING, ErrorKind.BLOCKED)
         return self.message if named else f"{self.type}: {self.message}"
 
     @classmethod
@@ -99,20 +101,23 @@ class Status:
             VersionError: it is of another schema version.
             DamagedError: it lacks or mistakes a field.
         """
-        content = dict(value)
-        shape.check_version(content, path, _STATUS_HINT)
-        shape.check(content, _STATUS, path, _STATUS_HINT)
+        content, hint = dict(value), _hint(path)
+        shape.check_version(content, path, hint)
+        shape.check(content, _STATUS, path, hint)
         error = content.pop("error")
         if error is not None:
-            shape.check(error, _ERROR, path, _STATUS_HINT, "error.")
+            shape.check(error, _ERROR, path, hint, "error.")
         try:
             state = State(content.pop("state"))
             return cls(**content, state=state, error=None if error is None else RunError.from_json(error))
         except (TypeError, ValueError) as problem:  # a word that is no state, a field nobody knows
-            raise DamagedError(f"{path} is damaged: {problem}", _STATUS_HINT) from problem
+            raise DamagedError(f"{path} is damaged: {problem}", hint) from problem
 
 
-_STATUS_HINT = "move it away: `rrmctl resume` goes on from the curve and the checkpoint"
+def _hint(path: Path) -> str:
+    resume = rrmctl("resume", results=RunFolder(path.parent).results)
+    return f"move it away: `{resume}` goes on from the curve and the checkpoint"
+
 
 _ERROR = dict.fromkeys(("kind", "type", "message"), shape.TEXT)
 

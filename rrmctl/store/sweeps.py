@@ -57,6 +57,7 @@ class SweepRecord:
     overrides: dict[str, Any] = field(default_factory=dict)
     jobs: tuple[JobRecord, ...] = ()
     needed: tuple[JobRecord, ...] = ()  #: runs that jobs need; nothing reports them, and some may be jobs as well
+    priors: tuple[str, ...] = ()  #: of `--prior`, which added methods to those of the manifest
     superseded: tuple[JobRecord, ...] = ()  #: another run was asked for in their place, of other settings or files
 
     @property
@@ -75,14 +76,16 @@ class SweepRecord:
         """With the jobs of another record of the same variant, asked for later, in order of first appearance."""
         jobs, superseded = _told_apart((*self.superseded, *self.jobs, *other.jobs))
         needed = tuple(dict.fromkeys((*self.needed, *other.needed)))
-        return dataclasses.replace(self, jobs=jobs, superseded=superseded, needed=needed)
+        priors = tuple(dict.fromkeys((*self.priors, *other.priors)))
+        return dataclasses.replace(self, jobs=jobs, superseded=superseded, needed=needed, priors=priors)
 
     def to_json(self) -> dict[str, Any]:
         """A JSON object; `from_json` is the inverse. Superseded jobs stand before what replaced them."""
         order = {job.place: at for at, job in enumerate(self.jobs)}
         jobs = sorted((*self.superseded, *self.jobs), key=lambda job: order[job.place])
         content = dataclasses.asdict(dataclasses.replace(self, jobs=tuple(jobs)))
-        return {"schema_version": SCHEMA_VERSION, **{key: content[key] for key in content if key != "superseded"}}
+        left_out = {"superseded", *(() if self.priors else ("priors",))}  # earlier programs know no priors
+        return {"schema_version": SCHEMA_VERSION, **{key: content[key] for key in content if key not in left_out}}
 
     @classmethod
     def from_json(cls, value: dict[str, Any], path: Path) -> Self:
@@ -102,7 +105,11 @@ class SweepRecord:
             named, needed = (_jobs(content.pop(name, []), name, path) for name in ("jobs", "needed"))
             _check_order((*named, *needed), path)
             jobs, superseded = _told_apart(named)
-            return cls(**content, jobs=jobs, superseded=superseded, needed=needed)
+            priors = content.pop("priors", [])
+            shape.check({"priors": priors}, {"priors": shape.LIST}, path, hint)
+            texts = {f"priors[{number}]": prior for number, prior in enumerate(priors)}
+            shape.check(texts, dict.fromkeys(texts, shape.TEXT), path, hint)
+            return cls(**content, jobs=jobs, superseded=superseded, needed=needed, priors=tuple(priors))
         except TypeError as problem:  # a field nobody knows
             raise DamagedError(f"{path} is damaged: {problem}", hint) from problem
 

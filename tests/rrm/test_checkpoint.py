@@ -87,11 +87,11 @@ def test_a_file_that_cannot_be_read_now_is_not_damage(tmp_path, monkeypatch):
     checkpoints = Checkpoints(tmp_path)
     checkpoints.save(10, {})
 
-    def refuse(path):
+    def refuse(path, limit):
         raise OSError(24, "Too many open files", str(path))
 
     before = sorted(tmp_path.iterdir())
-    monkeypatch.setattr(type(tmp_path), "read_bytes", refuse)
+    monkeypatch.setattr("rrm.checkpoint.read_bounded", refuse)
     with pytest.raises(OSError, match="Too many open files"):
         checkpoints.load(lambda _: None)
     assert sorted(tmp_path.iterdir()) == before

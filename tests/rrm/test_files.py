@@ -1,4 +1,4 @@
-"""Atomic writes, and reads that end."""
+"""Atomic writes."""
 
 import os
 import subprocess
@@ -7,29 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from rrm.files import make_folder, read_bounded, write_atomically
-
-
-def test_a_file_is_read_up_to_its_limit(tmp_path):
-    """A file of the limit's size is read, a larger one refused, by name."""
-    path = tmp_path / "a"
-    path.write_bytes(bytes(2048))
-    assert read_bounded(path, 2048) == bytes(2048)
-    with pytest.raises(OSError, match="longer than 2,047 bytes") as caught:
-        read_bounded(path, 2047)
-    assert caught.value.filename == str(path)
-
-
-@pytest.mark.parametrize("kind", ["pipe", "folder", "/dev/zero"])
-def test_what_is_no_regular_file_is_not_begun(tmp_path, kind):
-    """Nobody writes to the pipe, and the device has no end."""
-    os.mkfifo(tmp_path / "pipe")
-    (tmp_path / "folder").mkdir()
-    open_files = Path("/dev/fd")
-    before = {each.name for each in open_files.iterdir()}
-    with pytest.raises(OSError, match="not a regular file"):
-        read_bounded(tmp_path / kind, 2048)
-    assert {each.name for each in open_files.iterdir()} == before
+from rrm.files import UnfitFileError, make_folder, read_bounded, write_atomically
 
 
 def test_a_file_is_replaced_as_a_whole(tmp_path):
@@ -88,3 +66,26 @@ def test_every_new_folder_is_flushed_into_the_one_above(tmp_path, monkeypatch):
     (tmp_path / "file").touch()
     with pytest.raises(FileExistsError):
         make_folder(tmp_path / "file" / "r")
+
+
+def test_a_read_ends(tmp_path):
+    """A regular file within the limit is read; a pipe is not waited for, a device has no end, a folder is no file."""
+    path = tmp_path / "a"
+    path.write_bytes(b"12345")
+    assert read_bounded(path, 5) == b"12345"
+    with pytest.raises(UnfitFileError, match="longer than 4 bytes"):
+        read_bounded(path, 4)
+    os.mkfifo(tmp_path / "pipe")
+    for name in (tmp_path / "pipe", tmp_path, Path("/dev/zero")):
+        with pytest.raises(UnfitFileError, match="not a regular file"):
+            read_bounded(name, 100)
+    with pytest.raises(FileNotFoundError):
+        read_bounded(tmp_path / "none", 100)
+
+
+def test_a_name_that_is_a_folder_takes_no_write(tmp_path, monkeypatch):
+    """Also `.`, which has no name of its own: an error of the system, and nothing is left behind."""
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(OSError, match=r"'\.'"):
+        write_atomically(Path(), b"data")
+    assert list(tmp_path.iterdir()) == []

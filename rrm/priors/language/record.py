@@ -78,7 +78,7 @@ def parse_record(source: bytes, path: Path) -> Record:
     """
     lines = source.decode(errors="replace").split("\n")
     if _BEGIN not in lines or _END not in lines[lines.index(_BEGIN) :]:
-        raise ConfigError(f"{path} has no record ({_BEGIN} ... {_END}); `rrmctl prior language add` writes one")
+        raise ConfigError(f"{path} has no record ({_BEGIN} ... {_END}); `rrmctl prior language add --help`")
     begin = lines.index(_BEGIN) + 1
     block = lines[begin : lines.index(_END, begin)]
     try:

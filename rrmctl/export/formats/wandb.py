@@ -12,7 +12,6 @@ import datetime
 import hashlib
 import json
 import math
-import os
 import shutil
 import subprocess
 import sys
@@ -22,6 +21,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from rrm.process import environment
 from rrmctl.errors import UserError
 from rrmctl.export.bundle import Bundle
 from rrmctl.export.extras import require
@@ -111,7 +111,7 @@ def _write_offline(contents: Sequence[Mapping[str, Any]], folder: Path) -> None:
     """
     if not contents:
         return
-    own = {name: value for name, value in os.environ.items() if not name.startswith("WANDB_")}
+    own = {name: value for name, value in environment().items() if not name.startswith("WANDB_")}
     places = {f"WANDB_{name}_DIR": str(folder / name.lower()) for name in ("CACHE", "CONFIG", "DATA", "ARTIFACT")}
     ended = subprocess.run(
         [sys.executable, "-P", "-m", "rrmctl.export.offline", str(folder)],

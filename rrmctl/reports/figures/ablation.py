@@ -31,7 +31,7 @@ def draw(section: Section, settings: Settings = DEFAULTS) -> Figure:
     Raises:
         UserError: no prior has runs of both.
     """
-    panels = section.panels()
+    panels, looks = section.panels(), section.looks()
     cells = [(panel, prior) for panel in panels for prior in pairs(panel)]
     if not cells:
         raise nothing(section, "no prior with runs both with and without the residual")
@@ -39,13 +39,13 @@ def draw(section: Section, settings: Settings = DEFAULTS) -> Figure:
     return cells_sheet(
         title(section),
         [
-            curves_cell(f"{panel_name(panel, panels)}: {prior}", series, settings.kind)
+            curves_cell(f"{panel_name(panel, panels)}: {prior}", series, looks, settings.kind)
             for (panel, prior), series in zip(cells, shown, strict=True)
         ],
         size=settings.width,
-        handles=methods(itertools.chain(*shown)),
+        handles=methods(itertools.chain(*shown), looks),
         notes=[
-            "Filled and solid: with the residual; hollow and dashed: the prior alone.",
+            "Filled: with the residual; hollow and dashed: the prior alone.",
             *iqm_notes(section, settings.kind),
             *contents(section),
         ],

@@ -17,7 +17,7 @@ from rrmctl.reports.readings import Reading, readings
 from rrmctl.reports.series import Floats, Panel, Section, at_steps, knows
 from rrmctl.reports.settings import DEFAULTS, Settings
 from rrmctl.reports.sheet import Shape, panel_title, shape, sheet
-from rrmctl.reports.styles import style
+from rrmctl.reports.styles import Looks, Style
 from rrmctl.reports.words import title
 from rrmctl.stats import MIN_RUNS, iqm, mean, quartiles
 from rrmctl.stats.curves import SHARE
@@ -52,7 +52,7 @@ def draw(section: Section, settings: Settings = DEFAULTS) -> Figure:
     Raises:
         UserError: there are no runs, or none that can be compared.
     """
-    cells = readings(section, Panel.read_at)
+    cells, looks = readings(section, Panel.read_at), section.looks()
     if not cells:
         raise nothing(section, "no runs that can be compared at one step")
     form = shape(len(cells), settings.width)
@@ -66,13 +66,13 @@ def draw(section: Section, settings: Settings = DEFAULTS) -> Figure:
         form.across,
         size=settings.width,
         width=form.width,
-        handles=methods(each for cell in cells for panel in cell.panels for each in panel.present()),
+        handles=methods((each for cell in cells for panel in cell.panels for each in panel.present()), looks),
         notes=[*_notes(cells, settings.kind), *contents(section)],
     ) as (figure, grid):
         lines = iter(grid)
         for row in rows:
             rules = next(lines) if any(map(_ruled, row)) else []
-            _draw_row(row, rules, next(lines), names, form=form, settings=settings)
+            _draw_row(row, rules, next(lines), names, looks, form=form, settings=settings)
     return figure
 
 
@@ -86,6 +86,7 @@ def _draw_row(
     rules: Sequence[Axes],
     boxes: Sequence[Axes],
     names: Sequence[str],
+    looks: Looks,
     *,
     form: Shape,
     settings: Settings,
@@ -96,10 +97,10 @@ def _draw_row(
         top = boxes[position]
         if _ruled(cell):
             top = rules[position]
-            _draw_rule(top, cell)
+            _draw_rule(top, cell, looks)
             if position == 0:
                 top.set_ylabel("Seeds at\n100 % (%)")
-        _draw_boxes(boxes[position], cell, names, settings.kind)
+        _draw_boxes(boxes[position], cell, names, looks, settings.kind)
         if position > 0:
             boxes[position].set_yticklabels([])
         panel_title(top, _title(cell), form.width / form.across, settings.width)
@@ -111,7 +112,7 @@ def _title(cell: Reading) -> str:
     return f"{cell.name}\nat step {cell.read.step:,}" + ("" if cell.read.reached else " (last)")
 
 
-def _draw_rule(axes: Axes, cell: Reading) -> None:
+def _draw_rule(axes: Axes, cell: Reading, looks: Looks) -> None:
     """The share of seeds at 100 % over steps, the share that is asked for, and the step that this chooses."""
     (panel,), read = cell.panels, cell.read
     assert read is not None
@@ -119,7 +120,7 @@ def _draw_rule(axes: Axes, cell: Reading) -> None:
     learners = [each for each in panel.present() if not each.label.knows]
     for position, series in enumerate(learners):
         share = 100 * (at_steps(series, steps) >= 1.0).mean(axis=0)
-        line(axes, steps, share, style(series.label.method), position, linewidth=1.0, markersize=3)
+        line(axes, steps, share, looks[series.label.method], position, linewidth=1.0, markersize=3)
     axes.axhline(100 * SHARE, color=_GREY, linewidth=0.8, linestyle=(0, (3, 2)))
     axes.axvline(read.step, color=_GREY, linewidth=0.8, linestyle="-" if read.reached else (0, (1, 2)))
     score_axis(axes, "success")
@@ -129,13 +130,13 @@ def _draw_rule(axes: Axes, cell: Reading) -> None:
     axes.set_visible(True)
 
 
-def _draw_boxes(axes: Axes, cell: Reading, names: Sequence[str], kind: IqmKind) -> None:
+def _draw_boxes(axes: Axes, cell: Reading, names: Sequence[str], looks: Looks, kind: IqmKind) -> None:
     """A row for each method, the first on top; its mean stands at the right."""
     for row, method in enumerate(names):
         if method in cell.strata:
-            _draw_box(axes, len(names) - 1 - row, method, cell, kind)
+            _draw_box(axes, len(names) - 1 - row, cell.runs(method), looks[method], score=cell.score, kind=kind)
     for oracle in filter(knows, cell.strata):
-        dots = style(oracle)
+        dots = looks[oracle]
         axes.axvline(
             float(mean(cell.runs(oracle))), color=dots.color, linestyle=dots.linestyle, linewidth=1.2, zorder=1
         )
@@ -149,8 +150,7 @@ def _draw_boxes(axes: Axes, cell: Reading, names: Sequence[str], kind: IqmKind) 
     axes.set_visible(True)
 
 
-def _draw_box(axes: Axes, y: int, method: str, cell: Reading, kind: IqmKind) -> None:
-    look, scores = style(method), cell.runs(method)
+def _draw_box(axes: Axes, y: int, scores: Floats, look: Style, *, score: str, kind: IqmKind) -> None:
     center = float(mean(scores))
     low, high = (float(edge) for edge in quartiles(scores))
     axes.barh(y, high - low, left=low, height=0.62, facecolor=f"{look.color}30", edgecolor=look.color, linewidth=0.9)
@@ -160,7 +160,7 @@ def _draw_box(axes: Axes, y: int, method: str, cell: Reading, kind: IqmKind) -> 
         markerfacecolor=look.markerfacecolor, markeredgewidth=0.5, alpha=0.85, clip_on=False,
     )  # fmt: skip
     axes.plot(float(iqm(scores, kind)), y, linestyle="none", zorder=4, clip_on=False, **_DIAMOND)
-    told = f"{center:.1f}" if cell.score == "success" else f"{center:,.0f}"
+    told = f"{center:.1f}" if score == "success" else f"{center:,.0f}"
     axes.annotate(told, (1.05, y), xycoords=("axes fraction", "data"), va="center", ha="left", fontsize="small")
 
 

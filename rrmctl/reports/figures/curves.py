@@ -29,14 +29,14 @@ def draw(section: Section, settings: Settings = DEFAULTS) -> Figure:
     Raises:
         UserError: it has no run to show.
     """
-    panels = section.panels()
+    panels, looks = section.panels(), section.looks()
     if not panels:
         raise nothing(section, "no run")
     return cells_sheet(
         title(section),
-        [curves_cell(panel_name(panel, panels), panel.present(), settings.kind) for panel in panels],
+        [curves_cell(panel_name(panel, panels), panel.present(), looks, settings.kind) for panel in panels],
         size=settings.width,
-        handles=methods(each for panel in panels for each in panel.present()),
+        handles=methods((each for panel in panels for each in panel.present()), looks),
         notes=[*iqm_notes(section, settings.kind), *contents(section)],
     )
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from rrmctl.reports.marks import band, contents, handle, iqm_notes, line, panel_name, score_axis, step_axis
+from rrmctl.reports.marks import band, contents, iqm_notes, line, panel_name, score_axis, step_axis
 from rrmctl.reports.notebook import FromFrames, nothing
 from rrmctl.reports.series import ORACLE, Panel, Section, Series, finite
 from rrmctl.reports.settings import DEFAULTS, Settings
@@ -53,8 +53,8 @@ def draw(section: Section, settings: Settings = DEFAULTS) -> Figure:
         raise nothing(section, "no residual model")
     shown = [each for each in shown if parts(each.label.method)[1] == _OPPOSITE] or shown
     methods = list(dict.fromkeys(each.label.method for each in shown))
-    looks = _looks(style(methods[0]).color if len(methods) == 1 else _ANY)
-    panels = section.panels()
+    own, panels = section.looks(), section.panels()
+    looks = _looks(own[methods[0]].color if len(methods) == 1 else _ANY)
     return cells_sheet(
         title(section),
         [
@@ -62,10 +62,10 @@ def draw(section: Section, settings: Settings = DEFAULTS) -> Figure:
             for panel in panels
             for each in panel.present()
             if each in shown
-            for cell in _cells(each, panel, panels, settings.kind)
+            for cell in _cells(each, panel, panels, own[each.label.method].color, settings.kind)
         ],
         size=settings.width,
-        handles=[handle(look, _NAMES[column]) for column, look in looks.items()],
+        handles={_NAMES[column]: look for column, look in looks.items()},
         notes=[
             "Rewards: means over the transitions since the evaluation before.",
             f"Seeds: {'; '.join(f'{each.label}: {each.n}' for each in shown)}.",
@@ -93,8 +93,8 @@ def _looks(colour: str) -> dict[str, Style]:
     }
 
 
-def _cells(series: Series, panel: Panel, panels: Sequence[Panel], kind: IqmKind) -> list[Cell]:
-    looks, name = _looks(style(series.label.method).color), f"{panel_name(panel, panels)}\n{series.label.method}"
+def _cells(series: Series, panel: Panel, panels: Sequence[Panel], colour: str, kind: IqmKind) -> list[Cell]:
+    looks, name = _looks(colour), f"{panel_name(panel, panels)}\n{series.label.method}"
 
     def cell(unit: str, columns: Sequence[str], scale: float = 1) -> Cell:
         def fill(axes: Axes) -> None:

@@ -16,7 +16,7 @@ from rrmctl.reports.notebook import nothing, one_section
 from rrmctl.reports.series import Floats, Section, Series, Steps
 from rrmctl.reports.settings import DEFAULTS, Settings, Width
 from rrmctl.reports.sheet import Cell, cells_sheet
-from rrmctl.reports.styles import style
+from rrmctl.reports.styles import Looks
 from rrmctl.reports.words import title
 from rrmctl.stats import IqmKind, iqm
 from rrmctl.store.gradients import load_gradients
@@ -70,19 +70,19 @@ def gradient_norms(
 
 def _draw(section: Section, gradients: pd.DataFrame, settings: Settings) -> Figure:
     told = set(gradients["run"])
-    panels = section.panels()
+    panels, looks = section.panels(), section.looks()
     shown = {panel: [_only(each, told) for each in panel.present() if told.intersection(each.runs)] for panel in panels}
     if not any(shown.values()):
         raise nothing(section, "no norms of gradients")
     return cells_sheet(
         title(section),
         [
-            _cell(panel_name(panel, panels), series, gradients, settings.kind)
+            _cell(panel_name(panel, panels), series, looks, gradients, settings.kind)
             for panel, series in shown.items()
             if series
         ],
         size=settings.width,
-        handles=methods(each for series in shown.values() for each in series),
+        handles=methods((each for series in shown.values() for each in series), looks),
         notes=[
             f"Median over the gradient steps in each {_BINS}th of the run, then the interquartile mean over seeds "
             f"({settings.kind}). Band: 25 to 75 % of the seeds. Grey: where the loss changes.",
@@ -108,7 +108,7 @@ def _counted(section: Section, told: set[str]) -> Iterator[str]:
             yield f"No norms of {each.label}: {', '.join(lacking)}."
 
 
-def _cell(name: str, shown: Sequence[Series], gradients: pd.DataFrame, kind: IqmKind) -> Cell:
+def _cell(name: str, shown: Sequence[Series], looks: Looks, gradients: pd.DataFrame, kind: IqmKind) -> Cell:
     def fill(axes: Axes) -> None:
         last = max(int(each.steps[-1]) for each in shown)
         for position, series in enumerate(shown):
@@ -116,7 +116,7 @@ def _cell(name: str, shown: Sequence[Series], gradients: pd.DataFrame, kind: Iqm
             for _, phase in own.groupby(own["loss"] == _FINE_TUNING):
                 steps, norms = binned(phase, series.runs, last / _BINS)
                 if steps.size:
-                    look = style(series.label.method)
+                    look = looks[series.label.method]
                     line(axes, steps, iqm(norms, kind, axis=0), look, position)
                     band(axes, steps, norms, look)
             before = own["step"][own["loss"] != _FINE_TUNING]

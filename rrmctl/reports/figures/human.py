@@ -25,7 +25,7 @@ from rrmctl.reports.series import Panel, Section
 from rrmctl.reports.settings import DEFAULTS, Settings
 from rrmctl.reports.sheet import Cell, cells_sheet
 from rrmctl.reports.smoothing import smooth
-from rrmctl.reports.styles import style
+from rrmctl.reports.styles import Looks
 from rrmctl.reports.words import title
 from rrmctl.stats import iqm
 
@@ -52,15 +52,15 @@ def draw(section: Section, settings: Settings = DEFAULTS) -> Figure:
     Raises:
         UserError: there are no runs.
     """
-    panels = section.panels()
+    panels, looks = section.panels(), section.looks()
     shown = [panel for panel in panels if panel.teacher == HUMAN] or panels
     if not shown:
         raise nothing(section, "no run")
     return cells_sheet(
         title(section),
-        [_cell(panel_name(panel, panels), panel, settings.kind) for panel in shown],
+        [_cell(panel_name(panel, panels), panel, looks, settings.kind) for panel in shown],
         size=settings.width,
-        handles=methods(each for panel in shown for each in panel.present()),
+        handles=methods((each for panel in shown for each in panel.present()), looks),
         notes=[
             f"Each seed is smoothed: centred mean over {WINDOW} evaluations, fewer at the ends. Thin: not smoothed.",
             *iqm_notes(section, settings.kind),
@@ -69,12 +69,12 @@ def draw(section: Section, settings: Settings = DEFAULTS) -> Figure:
     )
 
 
-def _cell(name: str, panel: Panel, kind: IqmKind) -> Cell:
+def _cell(name: str, panel: Panel, looks: Looks, kind: IqmKind) -> Cell:
     def fill(axes: Axes) -> None:
         for position, each in enumerate(panel.present()):
-            look = style(each.label.method)
+            look = looks[each.label.method]
             line(axes, each.steps, iqm(scaled(each), kind, axis=0), look._replace(marker=""), linewidth=0.5, alpha=0.6)
-            curve(axes, replace(each, values=smooth(each.values, WINDOW)), kind, position)
+            curve(axes, replace(each, values=smooth(each.values, WINDOW)), look, kind, position)
         score_axis(axes, panel.score)
         step_axis(axes, max(int(each.steps[-1]) for each in panel.present()))
 

@@ -20,7 +20,7 @@ from rrmctl.reports.scores import read_together, score
 from rrmctl.reports.series import NOTHING_ASKED, Floats, Section, Series
 from rrmctl.reports.settings import DEFAULTS, SURE, Settings
 from rrmctl.reports.sheet import Cell, cells_sheet
-from rrmctl.reports.styles import Style, style
+from rrmctl.reports.styles import Looks, Style
 from rrmctl.reports.tables import ALL_TASKS
 from rrmctl.reports.words import title
 from rrmctl.stats import Estimate, iqm
@@ -53,15 +53,15 @@ def draw(section: Section, settings: Settings = DEFAULTS) -> Figure:
         UserError: no task has schedules to compare.
     """
     values, apart = _read(section)
-    found = sweeps(section)
+    found, looks = sweeps(section), section.looks()
     if not found:
         raise nothing(section, "no schedules of feedback that could be compared")
     means = _means(found)
     return cells_sheet(
         title(section),
-        [_cell(group, found, values, settings) for group in ([[each] for each in found] + means)],
+        [_cell(group, found, values, looks, settings) for group in ([[each] for each in found] + means)],
         size=settings.width,
-        handles=methods(series for each in found for series in each.series.values()),
+        handles=methods((series for each in found for series in each.series.values()), looks),
         notes=[
             f"Points: mean over the evaluation steps of the interquartile mean over seeds ({settings.kind}), with its "
             f"{SURE} bootstrap interval. Small and hollow: the interquartile mean at the last step.",
@@ -91,7 +91,7 @@ def sweeps(section: Section) -> list[Sweep]:
     asked: dict[tuple[str, str], dict[tuple[str, Schedule], Series]] = {}
     for series in _read(section)[0]:
         schedule = Schedule.of(series.label.feedback)
-        if not schedule.name:
+        if schedule and not schedule.name:
             asked.setdefault((series.label.task, series.label.teacher), {})[series.label.method, schedule] = series
     return [sweep for (task, teacher), series in asked.items() for sweep in _of_task(task, teacher, series)]
 
@@ -118,7 +118,9 @@ def _means(found: Sequence[Sweep]) -> list[list[Sweep]]:
     return [group for group in groups.values() if len(group) > 1]
 
 
-def _cell(group: Sequence[Sweep], found: Sequence[Sweep], values: Mapping[Series, Floats], settings: Settings) -> Cell:
+def _cell(
+    group: Sequence[Sweep], found: Sequence[Sweep], values: Mapping[Series, Floats], looks: Looks, settings: Settings
+) -> Cell:
     """A panel: one task, or the mean of several."""
     first = group[0]
     name = first.task if len(group) == 1 else ALL_TASKS
@@ -130,11 +132,11 @@ def _cell(group: Sequence[Sweep], found: Sequence[Sweep], values: Mapping[Series
         across = f"Queries a session,\nevery {told(first.schedules[0].every)} steps"
     else:
         across = f"Steps between\nsessions of {first.schedules[0].batch}"
-    return Cell(name, UNITS[unit], _filler(group, unit, values, settings), across)
+    return Cell(name, UNITS[unit], _filler(group, unit, values, looks, settings), across)
 
 
 def _filler(
-    group: Sequence[Sweep], unit: str, values: Mapping[Series, Floats], settings: Settings
+    group: Sequence[Sweep], unit: str, values: Mapping[Series, Floats], looks: Looks, settings: Settings
 ) -> Callable[[Axes], None]:
     first, scale = group[0], 100 if unit == "success" else 1
     names = list(dict.fromkeys(method for method, _ in first.series))
@@ -145,7 +147,7 @@ def _filler(
             have = [at for at, each in enumerate(first.schedules) if all((method, each) in s.series for s in group)]
             read = [[values[sweep.series[method, first.schedules[at]]] for sweep in group] for at in have]
             made = [_point(tasks, settings) for tasks in read]
-            _draw_points(axes, np.array(have) + shift, made, scale, style(method))
+            _draw_points(axes, np.array(have) + shift, made, scale, looks[method])
         axes.set_xticks(range(len(first.schedules)), [told(getattr(each, first.field)) for each in first.schedules])
         axes.set_xlim(-0.4, len(first.schedules) - 0.6)
         score_axis(axes, unit)

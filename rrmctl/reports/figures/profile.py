@@ -11,13 +11,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from rrmctl.reports.marks import UNITS, contents, handle, line, score_axis
+from rrmctl.reports.marks import UNITS, contents, line, score_axis
 from rrmctl.reports.notebook import FromFrames, nothing
 from rrmctl.reports.readings import Reading, last_step, readings
 from rrmctl.reports.series import Section
 from rrmctl.reports.settings import BOOTSTRAP_SEED, DEFAULTS, LEVEL, SURE, Settings
 from rrmctl.reports.sheet import Cell, cells_sheet
-from rrmctl.reports.styles import style
+from rrmctl.reports.styles import Looks
 from rrmctl.reports.words import title
 from rrmctl.stats import MIN_RUNS, performance_profile
 
@@ -43,12 +43,13 @@ def draw(section: Section, settings: Settings = DEFAULTS) -> Figure:
     cells = _cells(section)
     if not cells:
         raise nothing(section, f"no two methods with {MIN_RUNS} runs each")
+    looks = section.looks()
     names = dict.fromkeys(method for cell in cells for method in cell.strata)
     return cells_sheet(
         title(section),
-        [Cell(_name(cell), "Runs above it (%)", _filler(cell, settings), UNITS[cell.score]) for cell in cells],
+        [Cell(_name(cell), "Runs above it (%)", _filler(cell, looks, settings), UNITS[cell.score]) for cell in cells],
         size=settings.width,
-        handles=[handle(style(method), f"{method} ({_counts(method, cells)})") for method in names],
+        handles={f"{method} ({_counts(method, cells)})": looks[method] for method in names},
         notes=[
             "Line: share of the runs whose score at the last step is higher. "
             f"Band: {SURE} at each score by itself, bootstrap over seeds, stratified by task.",
@@ -84,7 +85,7 @@ def _counts(method: str, cells: Sequence[Reading]) -> str:
     return f"n = {'–'.join(map(str, dict.fromkeys((min(runs), max(runs)))))}"
 
 
-def _filler(cell: Reading, settings: Settings) -> Callable[[Axes], None]:
+def _filler(cell: Reading, looks: Looks, settings: Settings) -> Callable[[Axes], None]:
     scores = np.concatenate([cell.runs(method) for method in cell.strata])
     low, high = (0.0, 100.0) if cell.score == "success" else (float(scores.min()), float(scores.max()))
 
@@ -93,7 +94,7 @@ def _filler(cell: Reading, settings: Settings) -> Callable[[Axes], None]:
         for position, (method, strata) in enumerate(cell.strata.items()):
             rng = np.random.default_rng(BOOTSTRAP_SEED)
             made = performance_profile(strata, thresholds, rng=rng, replicates=settings.replicates, level=LEVEL)
-            look = style(method)
+            look = looks[method]
             line(axes, thresholds, 100 * made.estimate, look, 8 * position, drawstyle="steps-post")
             axes.fill_between(
                 thresholds, 100 * made.low, 100 * made.high, step="post", color=look.color, alpha=0.14, linewidth=0

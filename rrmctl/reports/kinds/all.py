@@ -18,6 +18,7 @@ from rrmctl.reports.words import facts
 from rrmctl.reports.words import title as title_of
 
 EXPERIMENT = None
+EXPLAINED = ()
 OPTIONS = ("plus_minus",)
 
 Make = Callable[[Sequence[Section], Settings], list[Report]]

@@ -22,6 +22,11 @@ if TYPE_CHECKING:
     import pandas as pd
 
 EXPERIMENT = None
+EXPLAINED = (
+    "Held: all comparisons of the claim have their whole interval on its side. Not held: one has all of it on the "
+    f"other side, at a level of 1 - {1 - LEVEL:.2g} / the claim's comparisons. Shown: the comparison that decides.",
+    '"Reaches" and "near" are taken within 5 points. n: the fewest seeds of a method and task.',
+)
 
 COLUMNS = (
     "claim", "says", "where", "asks", "verdict", "task", "comparison", "reading", "unit", "found", "low", "high", "n",
@@ -116,9 +121,4 @@ def _notes(sections: Sequence[Section], found: pd.DataFrame, settings: Settings)
     yield f"{len(CLAIMS)} claims: {', '.join(f'{count} {verdict}' for verdict, count in verdicts.items())}."
     for section in sections:
         yield from (f"{section.experiment}: {note}" for note in contents_notes(section))
-    yield (
-        "Held: all comparisons of the claim have their whole interval on its side. Not held: one has all of it on the "
-        f"other side, at a level of 1 - {1 - LEVEL:.2g} / the claim's comparisons. Shown: the comparison that decides."
-    )
-    yield '"Reaches" and "near" are taken within 5 points. n: the fewest seeds of a method and task.'
     yield from dict.fromkeys(note for section in sections for note in statistics_notes(section, settings))

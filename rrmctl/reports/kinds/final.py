@@ -14,13 +14,14 @@ from rrmctl.reports.document import INTERVAL, Grid, Report, best_methods, interv
 from rrmctl.reports.scores import at, score
 from rrmctl.reports.series import Panel, Section
 from rrmctl.reports.settings import DEFAULTS, Settings
-from rrmctl.reports.words import BEST_NOTE, contents_notes, facts, statistics_notes, title
+from rrmctl.reports.words import contents_notes, facts, statistics_notes, title
 from rrmctl.stats import quartiles
 
 if TYPE_CHECKING:
     import pandas as pd
 
 EXPERIMENT = None
+EXPLAINED = ("Step: the last evaluation that all methods of a task have.",)
 
 COLUMNS = (
     "task", "teacher", "feedback", "method", "score", "step", "iqm", "low", "high", "q25", "q75", "n", "planned",
@@ -68,6 +69,6 @@ def _report(section: Section, settings: Settings) -> Report:
     columns["25-75 %"] = [spread(row["q25"], row["q75"], row["score"], "{}..{}") for row in rows]
     columns["n"] = [f"{row['n']}/{row['planned']}" for row in rows]
     best = best_methods(found, "iqm", ("task", "teacher", "feedback"), list(columns).index("Final"))
-    notes = (*contents_notes(section), BEST_NOTE, *statistics_notes(section, settings))
+    notes = (*contents_notes(section), *statistics_notes(section, settings))
     grid = Grid.of(columns, words=words, best=best)
     return Report(title(section), found, grid, notes, facts(section, settings))

@@ -24,14 +24,21 @@ from rrmctl.reports.document import (
 )
 from rrmctl.reports.series import Panel, Section
 from rrmctl.reports.settings import Settings
-from rrmctl.reports.tables import ALL_TASKS, across_tasks, iqm_table
-from rrmctl.reports.words import BEST_NOTE, contents_notes, facts, statistics_notes, title
+from rrmctl.reports.tables import ALL_TASKS, iqm_table
+from rrmctl.reports.words import contents_notes, facts, statistics_notes, title
 from rrmctl.stats.curves import SHARE
 
 if TYPE_CHECKING:
     import pandas as pd
 
 EXPERIMENT = None
+EXPLAINED = (
+    f"Step: where the methods of a task are compared. Success: the first evaluation at which {100 * SHARE:g} % of the "
+    "seeds of a method but the oracle are at 100 %, which flatters all methods alike. Where there is none (marked *), "
+    "and for returns: the last one that all have.",
+    "AUC: area under the IQM curve over the steps common to a task's methods, divided by their span.",
+    f'"{ALL_TASKS}": the seeds of all tasks that are read by success, pooled, each task at its own step.',
+)
 
 #: Beside a step that is merely the last one, and before the note that says so.
 LAST_MARK = "*"
@@ -69,27 +76,20 @@ def _step(row: dict[Any, Any]) -> str:
 
 def _notes(section: Section, settings: Settings) -> Iterator[str]:
     yield from contents_notes(section)
-    panels = section.panels()
-    for panel in panels:
-        alone = sum(each.task == panel.task for each in panels) == 1
-        yield _step_note(panel.task if alone else f"{panel.task} ({panel.teacher}, {panel.feedback})", panel)
-    if across_tasks(panels):
-        yield f'"{ALL_TASKS}" pools the seeds of all tasks that are read by success, each at its own step.'
-    yield BEST_NOTE
-    yield "AUC: area under the IQM curve over the steps common to a task's methods, divided by their span."
+    yield from _step_notes(section.panels())
     yield from statistics_notes(section, settings)
 
 
-def _step_note(name: str, panel: Panel) -> str:
-    """Where a panel is read, and why there."""
-    read = panel.read_at()
-    if panel.score == "return":
-        return f"{name} is read at the last common step, {read.step:,}; scores are true returns."
+def _step_notes(panels: Sequence[Panel]) -> Iterator[str]:
+    """Who chose the step of each panel, and what the mark beside the others means."""
     share = f"{100 * SHARE:g} %"
-    if read.reached:
-        who = " and ".join(read.by)
-        return f"{name} is read at step {read.step:,}, the first at which {share} of the seeds of {who} are at 100 %."
-    return (
-        f"{LAST_MARK} {name} is read at the last common step, {read.step:,}: no method but the oracle ever has "
-        f"{share} of its seeds at 100 %."
-    )
+    merely_last = False
+    for panel in panels:
+        alone = sum(each.task == panel.task for each in panels) == 1
+        name = panel.task if alone else f"{panel.task} ({panel.teacher}, {panel.feedback})"
+        read = panel.read_at()
+        if read.reached:
+            yield f"{name} is read where {share} of the seeds of {' and '.join(read.by)} are at 100 % first."
+        merely_last |= not read.reached and panel.score == "success"
+    if merely_last:
+        yield f"{LAST_MARK} the last common step: no method but the oracle ever has {share} of its seeds at 100 %."

@@ -15,7 +15,7 @@ from rrmctl.reports.document import NOTHING, Grid, Report, counts, highest, inte
 from rrmctl.reports.scores import read_together, score
 from rrmctl.reports.series import NOTHING_ASKED, Section, Series
 from rrmctl.reports.settings import DEFAULTS, Settings
-from rrmctl.reports.words import BEST_NOTE, contents_notes, facts, statistics_notes, title
+from rrmctl.reports.words import contents_notes, facts, statistics_notes, title
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -26,6 +26,13 @@ EXPERIMENT = "less-feedback"
 
 #: Stands for the task in the rows of the mean over all of them.
 ALL_TASKS = "all tasks"
+
+EXPLAINED = (
+    "Feedback: questions of a session @ steps between sessions / questions in all.",
+    "Numbers: mean of the IQM over the evaluations that all runs of a task have.",
+    f'"{ALL_TASKS}": mean over the tasks; each is resampled on its own. n adds up the runs of all.',
+    "n holds for every method of a row, or for one after the other where they differ.",
+)
 
 COLUMNS = (
     "task", "teacher", "feedback", "method", "score", "first_step", "last_step", "evaluations", "mean_iqm", "low",
@@ -136,15 +143,9 @@ def _cell(row: dict[Any, Any] | None) -> str:
 
 def _notes(section: Section, found: pd.DataFrame, settings: Settings) -> Iterator[str]:
     yield from contents_notes(section)
-    yield "Feedback: questions of a session @ steps between sessions / questions in all."
     own = found[found["task"] != ALL_TASKS].drop_duplicates("task")
     for row in own.to_dict("records"):
         yield (
-            f"{row['task']}: mean of the IQM over {row['evaluations']} evaluations from step {row['first_step']:,} to "
-            f"{row['last_step']:,}, which all its runs have."
+            f"{row['task']}: {row['evaluations']} evaluations, from step {row['first_step']:,} to {row['last_step']:,}."
         )
-    if (found["task"] == ALL_TASKS).any():
-        yield f'"{ALL_TASKS}": mean over the tasks; each is resampled on its own. n adds up the runs of all.'
-    yield "n holds for every method of a row, or for one after the other where they differ."
-    yield BEST_NOTE
     yield from statistics_notes(section, settings)

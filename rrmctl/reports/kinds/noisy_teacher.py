@@ -32,7 +32,7 @@ from rrmctl.reports.document import (
 from rrmctl.reports.kinds.final import final_rows
 from rrmctl.reports.series import NOTHING_ASKED, ORACLE, Section, knows
 from rrmctl.reports.settings import DEFAULTS, Settings
-from rrmctl.reports.words import BEST_NOTE, contents_notes, facts, statistics_notes, title
+from rrmctl.reports.words import contents_notes, facts, statistics_notes, title
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -48,6 +48,12 @@ COLUMNS = (
 #: What the paper calls a learner without a prior, and which those are.
 _BASELINE = "baseline"
 _BASELINES = ("pebble", "surf", "mrn")
+
+EXPLAINED = (
+    "Paper: in % ± half a 95 % interval. Difference: ours less the paper's, in percentage points.",
+    "With --plus-minus, ± is half the width of the interval, which need not lie evenly about the value, nor end at "
+    f"100 %; {_BASELINE} is the learner without a prior, which residual models build on.",
+)
 _RESIDUAL = re.compile(r"rrm-(?:surf-|mrn-)?(.+)")
 
 
@@ -85,7 +91,7 @@ def _beside_published(row: dict[str, Any]) -> dict[str, Any]:
 
 def _report(section: Section, found: pd.DataFrame, settings: Settings) -> Report:
     grid = _matrix(found) if settings.plus_minus else _list(found)
-    notes = tuple(_notes(section, found, grid, settings))
+    notes = tuple(_notes(section, found, settings))
     return Report(title(section), found, grid, notes, facts(section, settings))
 
 
@@ -163,17 +169,9 @@ def _signed(difference: float) -> str:
     return NOTHING if math.isnan(difference) else f"{100 * difference:+.1f}"
 
 
-def _notes(section: Section, found: pd.DataFrame, grid: Grid, settings: Settings) -> Iterator[str]:
+def _notes(section: Section, found: pd.DataFrame, settings: Settings) -> Iterator[str]:
     yield from contents_notes(section)
     steps = {" ".join(_key(row, _places(found))): row["step"] for row in found.to_dict("records")}
     yield f"Read at the last common step: {', '.join(f'{name} at {step:,}' for name, step in steps.items())}."
-    yield (
-        f"Paper: {published.source(EXPERIMENT)}, at the paper's scale, in % ± half a 95 % interval; "
-        f"ours is profile {section.profile}. Difference: ours less the paper's, in percentage points."
-    )
-    if settings.plus_minus:
-        yield "± is half the width of the interval, which need not lie evenly about the value, nor end at 100 %."
-        if any(_BASELINE in row for row in grid.rows):
-            yield f"{_BASELINE}: the learner without a prior, which residual models build on."
-    yield BEST_NOTE
+    yield f"Paper: {published.source(EXPERIMENT)}, at the paper's scale; ours is profile {section.profile}."
     yield from statistics_notes(section, settings)

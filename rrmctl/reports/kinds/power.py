@@ -25,6 +25,15 @@ if TYPE_CHECKING:
     import pandas as pd
 
 EXPERIMENT = None
+EXPLAINED = (
+    "Compared is each seed's mean score over training. Difference: interquartile mean of the method minus that of the "
+    "other, seeds unpaired. P(better): a run of the method beats one of the other, ties by half. n: runs of both.",
+    "Decision: group-sequential permutation test of the means after every group of seeds, Holm's step-down over all "
+    "comparisons, one error rate for all of them together; in brackets the seeds it took. It holds where the rules "
+    "were fixed before the runs: `rrmctl run NAME --until-decided --max-seeds N` fixes them.",
+    "More seeds: after so many, half of the futures imagined from the runs so far are decided; in brackets the share "
+    "by the most seeds there may be. A help for planning that believes the runs so far, too hopeful with few.",
+)
 
 #: The test's decisions in words, about the method as against the other.
 DECISIONS = {"larger": "better", "smaller": "worse", "equal": "not separated", "open": "open"}
@@ -112,21 +121,12 @@ def _rules(section: Section, contests: Contests) -> dict[str, Any]:
 def _notes(section: Section, contests: Contests, settings: Settings) -> Iterator[str]:
     design = contests.design
     yield (
-        "Compared is each seed's mean score over training. Difference: interquartile mean of the method minus that of "
-        "the other, seeds unpaired. P(better): a run of the method beats one of the other, ties by half."
-    )
-    yield (
-        f"Decision: group-sequential permutation test of the means after every {design.group} seeds, at most "
-        f"{design.looks} times, Holm's step-down over {len(contests.contests)} comparisons, error rate "
-        f"{100 * design.alpha:g} % for all of them together; in brackets the seeds it took."
+        f"Decisions: after every {design.group} seeds, at most {design.looks} times, over {len(contests.contests)} "
+        f"comparisons with one error rate of {100 * design.alpha:g} %."
     )
     if section.trial is None:
         yield (
-            "No rules were fixed before these runs (`rrmctl run NAME --until-decided --max-seeds N` fixes them): the "
-            "error rate holds only if how many seeds there are did not follow from what they showed."
+            "No rules were fixed before these runs: the error rate holds only if how many seeds there are did not "
+            "follow from what they showed."
         )
-    yield (
-        f"More seeds: after so many, half of the futures imagined from the runs so far are decided; in brackets the "
-        f"share by {design.seeds} seeds. A help for planning that believes the runs so far, too hopeful with few."
-    )
     yield from statistics_notes(section, settings)

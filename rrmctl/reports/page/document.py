@@ -1,4 +1,4 @@
-"""The page as a whole: contents, an overview, and a chapter for each variant of each experiment.
+"""The page as a whole: an overview, a chapter for each variant of each experiment, and what is told of several.
 
 Everything is inside of it, and its policy lets a browser load nothing else and run no script but its own.
 """
@@ -9,6 +9,7 @@ import base64
 import hashlib
 import shlex
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from importlib import resources
 from pathlib import Path
 
@@ -16,6 +17,7 @@ import rrm
 from rrmctl.errors import UserError
 from rrmctl.reports import names as asked
 from rrmctl.reports.accounts import total
+from rrmctl.reports.kinds import explained
 from rrmctl.reports.page.chapter import Part, Variant, chapter, tables_at
 from rrmctl.reports.page.gather import SEVERAL, gather
 from rrmctl.reports.page.html import Html, element, joined
@@ -54,13 +56,15 @@ def build(
     variants = [each for each in found if profile in (None, each.runs[0].plan["profile"])]
     sections = [each.section for each in variants if isinstance(each.section, Section) and each.section.contained]
     gathered = gather(sections, settings)
-    told = [_overview(variants), _made(_command(results, experiments, profile, settings, allow_mixed))]
-    common = Part(*tables_at(SEVERAL, "common", gathered))
+    common = tables_at(SEVERAL, "common", gathered)
     parts = [
-        Part("overview", "Overview", joined(told), (common,) if common.body else ()),
+        Part("overview", "Overview", _overview(variants)),
         *(chapter(each, gathered, settings) for each in variants),
+        *([replace(common, title="Across experiments")] if common.body else ()),
+        Part("explained", "How to read the tables", joined(_explained()), folded=True),
     ]
-    return _whole(f"Report: {', '.join(names)}", parts)
+    made = _made(_command(results, experiments, profile, settings, allow_mixed))
+    return _whole(f"Report: {', '.join(names)}", parts, made)
 
 
 def _variants(results: str | Path, experiment: str, *, allow_mixed: bool) -> Iterator[Variant]:
@@ -88,7 +92,9 @@ def _overview(variants: Sequence[Variant]) -> Html:
         link = element("a", variant.experiment, href=f"#{variant.id}")
         sums = (spent[name] for name in ("steps", "labels", "wall_s"))
         rows.append([link, variant.name, spent["runs"], spent["done"], failed, *sums])
-    return of_rows(columns, rows, "What this page holds, runs that others need included")
+    whole = total(run for variant in variants for run in variant.everything)
+    told = element("p", f"{whole['done']} of {whole['runs']} planned runs are done.")
+    return joined([told, of_rows(columns, rows, "What this page holds, runs that others need included")])
 
 
 def _command(
@@ -102,12 +108,19 @@ def _command(
     return shlex.join([*words, *(["--allow-mixed"] if allow_mixed else [])])
 
 
+def _explained() -> Iterator[Html]:
+    for title, sentences in explained().items():
+        yield element("h3", title)
+        yield element("ul", *(element("li", sentence) for sentence in sentences))
+
+
 def _made(command: str) -> Html:
     """How the page came about."""
-    return element("p", f"Written by rrmctl {rrm.__version__}, with ", element("code", command))
+    told = f"Written by rrmctl {rrm.__version__}, with "
+    return element("footer", element("p", told, element("code", command)))
 
 
-def _whole(heading: str, parts: Sequence[Part]) -> str:
+def _whole(heading: str, parts: Sequence[Part], made: Html) -> str:
     style, script = (resources.files(__package__).joinpath(name).read_text() for name in ("page.css", "page.js"))
     digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
     policy = f"default-src 'none'; img-src data:; style-src 'unsafe-inline'; script-src 'sha256-{digest}'"
@@ -129,7 +142,7 @@ def _whole(heading: str, parts: Sequence[Part]) -> str:
         element(
             "div",
             element("nav", contents, aria_label="Contents"),
-            element("main", *(part.html() for part in parts)),
+            element("main", *(part.html() for part in parts), made),
             class_="sides",
         ),
         element("dialog", aria_label="Enlarged figure"),

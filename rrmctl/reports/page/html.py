@@ -29,6 +29,11 @@ def element(name: str, /, *children: str | None, **attributes: str | float | boo
     return Html(f"<{name}{told}>" if name in _VOID else f"<{name}{told}>{joined(children)}</{name}>")
 
 
+def folded(summary: str, *children: str | None) -> Html:
+    """What is shown when its summary is pressed."""
+    return element("details", element("summary", summary), *children)
+
+
 def joined(children: Iterable[str | None]) -> Html:
     """Pieces one after the other."""
     return Html("".join(map(escape, filter(None, children))))

@@ -7,7 +7,7 @@ import shlex
 from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING
 
-from rrmctl.commands import run_command
+from rrmctl.commands import run_commands
 from rrmctl.reports.accounts import GROUP, common_settings, differing_settings, makings, spending, total
 from rrmctl.reports.page.html import Html, element, joined
 from rrmctl.reports.page.tables import Column, of_rows
@@ -34,7 +34,6 @@ def clock(seconds: float) -> str:
 
 def parts(name: str, runs: Sequence[Run], needed: Sequence[Run]) -> Iterator[tuple[str, str, Html]]:
     """Id, title and content of each list; empty ones are left out by who takes them."""
-    yield f"{name}-failures", "Failures", _failures([*runs, *needed])
     yield f"{name}-spent", "Steps, feedback and time", _spent(runs, needed)
     yield f"{name}-runs", "Runs", _inventory(runs, needed)
     yield f"{name}-settings", "Settings", _settings(runs)
@@ -42,7 +41,7 @@ def parts(name: str, runs: Sequence[Run], needed: Sequence[Run]) -> Iterator[tup
     yield f"{name}-again", "How to reproduce it", _commands(runs)
 
 
-def _failures(runs: Sequence[Run]) -> Html:
+def failures(runs: Sequence[Run]) -> Html:
     """Reasons, the most frequent first, with the runs they stopped."""
     found: dict[str, list[Run]] = {}
     for run in {run.id: run for run in runs}.values():
@@ -135,14 +134,13 @@ def _makings(runs: Sequence[Run]) -> Html:
 
 
 def _commands(runs: Sequence[Run]) -> Html:
-    """The commands that the runs were asked for with; one that asks for all of the plan where none is recorded."""
+    """The commands that the runs were asked for with; those that ask for all of the plan where none is recorded."""
     asked = [shlex.join(run.provenance["argv"]) for run in runs if run.provenance and run.provenance.get("argv")]
-    told = "As they were typed; given again, each trains what is missing." if asked else "This trains what is missing."
-    return joined([element("p", told), element("pre", "\n".join(dict.fromkeys(asked or [_whole_plan(runs)])))])
+    told = "As they were typed; given again, each trains what is missing." if asked else "These train what is missing."
+    return joined([element("p", told), element("pre", "\n".join(dict.fromkeys(asked or _whole_plan(runs))))])
 
 
-def _whole_plan(runs: Sequence[Run]) -> str:
+def _whole_plan(runs: Sequence[Run]) -> list[str]:
     plan = runs[0].plan
-    tasks, methods, seeds = ([run.plan[name] for run in runs] for name in ("task", "method", "seed"))
-    overrides = json.loads(plan["overrides"])
-    return run_command(plan["experiment"], plan["profile"], overrides, tasks=tasks, methods=methods, seeds=seeds)
+    wanted = [(run.plan["task"], run.plan["method"], run.plan["seed"]) for run in runs]
+    return run_commands(plan["experiment"], plan["profile"], json.loads(plan["overrides"]), wanted)

@@ -57,7 +57,8 @@ for (const button of document.querySelectorAll(".zoom")) {
   });
 }
 
-/* Contents: folded where they would fill the screen, and open on paper. */
-const contents = document.querySelector("nav details");
-if (window.matchMedia("(max-width: 40rem)").matches) contents.open = false;
-window.addEventListener("beforeprint", () => { contents.open = true; });
+/* Contents are folded where they would fill the screen; on paper nothing is. */
+if (window.matchMedia("(max-width: 40rem)").matches) document.querySelector("nav details").open = false;
+window.addEventListener("beforeprint", () => {
+  for (const each of document.querySelectorAll("details")) each.open = true;
+});

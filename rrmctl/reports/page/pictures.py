@@ -27,7 +27,7 @@ def picture(figure: Figure, name: str, caption: str, alternative: str) -> Html:
     width = round(96 * figure.get_figwidth())
     image = element("img", src=_data(figure), alt=alternative, width=width, decoding="async")
     button = element("button", image, type="button", class_="zoom", aria_label=f"Enlarge: {caption}")
-    return element("figure", button, element("figcaption", caption), id=name)
+    return element("figure", button, element("figcaption", caption), id=name, style=f"width: {width}px")
 
 
 def _data(figure: Figure) -> str:

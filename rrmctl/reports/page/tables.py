@@ -67,7 +67,7 @@ def _table(columns: Sequence[Column], rows: list[list[Html]], caption: str, foot
         element("th", element("button", each.name, type="button"), scope="col", class_=_kind(each)) for each in columns
     ]
     if len(rows) > MOST_ROWS:
-        caption += f": the first {MOST_ROWS:,} of {len(rows):,} rows; `rrmctl export` writes all"
+        caption += f": the first {MOST_ROWS:,} of {len(rows):,} rows; `rrmctl export NAME --to csv -o DIR` writes all"
     table = element(
         "table",
         element("caption", element("span", caption)),

@@ -62,6 +62,16 @@ def test_no_arguments_show_the_help() -> None:
     assert "rrmctl doctor" in call().output
 
 
+def test_a_folder_that_is_gone_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nothing can be named from a working directory that somebody removed."""
+    (tmp_path / "gone").mkdir()
+    monkeypatch.chdir(tmp_path / "gone")
+    (tmp_path / "gone").rmdir()
+    result = call("doctor")
+    assert result.exit_code == 2
+    assert "the folder this command runs in is gone" in result.stderr
+
+
 def test_unknown_command() -> None:
     """A near miss among the commands is suggested; misuse ends with 2."""
     result = call("pln")
@@ -107,6 +117,11 @@ def test_bugs_keep_their_traceback() -> None:
 def test_interruption() -> None:
     """Ctrl-C outside a sweep ends with 130."""
     assert raising(KeyboardInterrupt()).exit_code == 130
+
+
+def test_a_question_that_nobody_answers() -> None:
+    """The end of standard input is no failed job: nothing was begun, and the same command goes on."""
+    assert raising(typer.Abort()).exit_code == 75
 
 
 def test_plain_where_nobody_looks(tmp_path: Path) -> None:

@@ -51,6 +51,36 @@ def settle(root: Path, state: State, seeds: str = "2", error: RunError | None = 
     return [job.id for job in jobs]
 
 
+@pytest.mark.slow
+def test_paths_hold_wherever_the_code_of_a_user_goes(tmp_path: Path) -> None:
+    """A prior that changes folder and umask disturbs no write; a project that was moved is told so, and goes on."""
+    home, moved = tmp_path / "project", tmp_path / "moved"
+    home.mkdir()
+    (home / "mine.py").write_text("import os\n\ndef p(step):\n    os.chdir('/')\n    os.umask(0o777)\n    return 0.0\n")
+    sweep = ["run", *PLAN, "--seeds", "1", "--methods", "rrm-p", "--prior", "mine.py:p", "--results", "res"]
+
+    def program(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
+        return subprocess.run([*PROGRAM, *arguments], cwd=folder, capture_output=True, text=True, check=False)
+
+    ran = program(home, *sweep)
+    assert ran.returncode == 0, ran.stderr
+    (run,) = (home / "res" / "runs").iterdir()
+    files = [path for path in run.iterdir() if path.is_file()]
+    assert all(path.stat().st_mode & 0o400 for path in files), files
+    folder = Layout(home / "res").run(run.name)
+    write_status(folder, dataclasses.replace(read_status(folder), state=State.INTERRUPTED))
+    home.rename(moved)
+    ran = program(moved, "resume", "--results", "res")
+    assert ran.returncode == 75, ran.stderr
+    assert f"stopped: cannot read {home / 'mine.py'}" in ran.stderr
+    assert "bring it back" in ran.stderr
+    assert "Traceback" not in ran.stderr
+    assert run_status(Layout(moved / "res").run(run.name)).state is State.INTERRUPTED
+    ran = program(moved, *sweep)
+    assert ran.returncode == 0, ran.stderr
+    assert [path.name for path in (moved / "res" / "runs").iterdir()] == [run.name]
+
+
 def test_a_sweep_that_is_done_is_not_run_again(tmp_path: Path) -> None:
     """Exit code 0, no process, and the next command by name."""
     ids = settle(tmp_path, State.DONE)
@@ -435,7 +465,7 @@ def test_a_full_disk_in_the_middle_of_a_write(tmp_path: Path) -> None:
         result = call("run", *sweep, "--results", small)
         assert result.exit_code == 75, result.output
         assert "No space left on device" in result.stderr
-        assert "make space, then `rrmctl resume` goes on" in " ".join(result.stderr.split())
+        assert f"make space, then `rrmctl resume --results {small}` goes on" in " ".join(result.stderr.split())
         assert "Traceback" not in result.output
         assert call("status", "--results", small).exit_code == 0
         before = load(small, "toy-car")

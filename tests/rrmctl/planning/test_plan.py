@@ -293,7 +293,11 @@ def test_prior_option(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert [job.method for job in plan.jobs] == ["oracle", "rrm-zero", "rrm-closer"]
     assert len(make_plan(made(), seeds="1", priors=["zero", "zero"]).jobs) == 3
     (tmp_path / "mine.py").write_text("def zero(): ...")
-    assert "rrm-zero already stands for" in str(refused(made(), priors=["zero", "mine.py:zero"]))
+    taken = refused(made(), priors=["zero", "mine.py:zero"])
+    assert "rrm-zero already stands for" in str(taken)
+    assert taken.hint == "rename the function: the method is named after it"
+    (tmp_path / "renamed.py").write_text("def null(): ...")
+    assert len(make_plan(made(), methods=["oracle"], seeds="1", priors=["zero", "renamed.py:null"]).jobs) == 3
     assert 'did you mean "zero"' in str(refused(made(), priors=["zer"]))
     assert "no file" in str(refused(made(), priors=["absent.py:f"]))
     assert "mine.py defines no 'zer'; did you mean" in str(refused(made(), priors=["mine.py:zer"]))

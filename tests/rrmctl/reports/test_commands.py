@@ -30,6 +30,20 @@ def test_the_table_is_printed(results):
     assert "14 of 15 planned runs" in ran.stdout
 
 
+def test_explain_says_once_what_every_table_means(results):
+    """`report explain` tells of every table and of one, needs no results, and refuses a table that is not there."""
+    whole, one = rrmctl("report", "explain"), rrmctl("report", "explain", "power")
+    assert (whole.exit_code, one.exit_code) == (0, 0)
+    assert all(text in whole.stdout for text in ("claims\n", "power\n", "all tables\n", "bootstrap over seeds"))
+    assert "permutation test" in one.stdout
+    assert "claims\n" not in one.stdout
+    table = rrmctl("report", "iqm", "main-results", "--results", results, "--replicates", 200).stdout
+    assert "bootstrap over seeds" not in table
+    wrong = rrmctl("report", "explain", "powr")
+    assert wrong.exit_code == 2
+    assert 'did you mean "power"?' in wrong.stderr
+
+
 def test_without_a_name_every_experiment_is_reported(results):
     """`report iqm` alone reports all that the store holds."""
     Sweep(experiment="toy-car", tasks=("toy-car",), variant="t").write(results)

@@ -6,10 +6,12 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
+from rrmctl.reports.kinds import kinds
 from rrmctl.reports.kinds.iqm import make
 from rrmctl.reports.render import FORMATS, console_for, print_terminal, to_text
 from rrmctl.reports.select import sections
 from rrmctl.reports.settings import Settings
+from rrmctl.reports.words import EXPLAINED
 from tests.rrmctl.reports.frames import RISING, Sweep
 
 GOLDEN = Path(__file__).with_name("golden")
@@ -64,11 +66,35 @@ def test_people_read_percent_and_programs_fractions():
 
 
 def test_every_format_says_what_it_holds():
-    """Profile, which IQM, the number of replicates, the protocol and the absent runs are in every format."""
+    """Profile, absent runs and an unusual IQM or number of replicates are in every format; all else in csv and json."""
     for form in FORMATS:
         text = to_text(made(RAGGED, kind="exact"), form)
-        for word in ("laptop", "exact", "stratified" if form in ("csv", "json") else "strata", "10 episodes", "failed"):
+        machine = ("1000", "stratified", "10 episodes") if form in ("csv", "json") else ("1,000 replicates",)
+        for word in ("laptop", "exact", "failed", *machine):
             assert word in text, (form, word)
+
+
+def test_notes_are_what_is_particular_to_a_table():
+    """Where all runs are there, seeds are enough and nothing is unusual, a table has one note; else what is unusual."""
+    enough = {method: seeds * 2 for method, seeds in RISING.items()}
+    rows, jobs = Sweep(curves=enough).frames()
+    usual = {cell: {"success": "any", "deterministic": True} for cell in jobs["cell"]}
+    (report,) = make(sections(rows, jobs, evaluation=usual), Settings())
+    assert report.notes == ("button-press is read where 80 % of the seeds of rrm-proxy are at 100 % first.",)
+    odd = {cell: {"success": "last", "deterministic": False} for cell in jobs["cell"]}
+    (report,) = make(sections(rows[rows["seed"] < 3], jobs, evaluation=odd), Settings(kind="exact", replicates=100))
+    told = "\n".join(report.notes)
+    for word in ("9 of 30 planned runs.", "exact", "100 replicates", "71-76 % with 3", "sampled actions"):
+        assert word in told, word
+
+
+def test_what_is_said_once_is_said_by_explain():
+    """No note of any table is among what `report explain` says of all or of this one; each kind says something."""
+    for name, entry in kinds().items():
+        assert name == "all" or entry.load().EXPLAINED, name
+    always = {*EXPLAINED, *(sentence for entry in kinds().values() for sentence in entry.load().EXPLAINED)}
+    assert not always & {note for report in made(RAGGED, SMOKE) for note in report.notes}
+    assert to_text(made(RAGGED, SMOKE), "terminal").count("rrmctl report explain") == 1
 
 
 def test_smoke_is_never_shown_as_results():

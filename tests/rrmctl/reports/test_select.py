@@ -203,4 +203,5 @@ def test_an_empty_store_says_what_to_run(tmp_path):
     Sweep(states=dict.fromkeys(keys, "queued"), lengths=dict.fromkeys(keys, 0)).write(tmp_path)
     with pytest.raises(UserError, match="15 queued") as waiting:
         of_profile(read_sections(tmp_path), None)
-    assert all("rrmctl run" in str(found.value.hint) for found in (missing, empty, waiting))
+    assert all("rrmctl run quickstart" in str(found.value.hint) for found in (missing, empty))
+    assert f"rrmctl status --results {tmp_path}" in str(waiting.value.hint)

@@ -5,7 +5,9 @@ import pytest
 from matplotlib.colors import to_rgb
 
 from rrmctl.planning.manifest import load
-from rrmctl.reports.styles import parts, style
+from rrmctl.reports.figures.curves import learning_curves
+from rrmctl.reports.styles import parts, style, styles
+from tests.rrmctl.reports.frames import Sweep
 from tests.rrmctl.reports.vision import SIGHTS, distance, lightness
 
 EXPERIMENTS = sorted((Path(__file__).parents[3] / "experiments").glob("*.toml"))
@@ -84,6 +86,72 @@ def test_a_suffix_is_a_lighter_one_of_its_base(variant, base):
     assert one.markerfacecolor == "white"
     assert one[1:] != of[1:]
     assert one.marker
+
+
+#: Names of users', whom no table knows, among some that are known.
+CROWDS = {
+    "versions": ["rrm-v1", "rrm-new", "rrm-old"],
+    "twelve": [
+        "oracle",
+        "pebble",
+        *(f"rrm-{name}" for name in ("v1", "v2", "new", "old", "a", "b", "c", "d", "e", "f")),
+    ],
+    "learners": ["oracle", "pebble", "surf", *(f"mine{n}" for n in range(9))],
+    "families": [f"{family}{name}" for name in ("v1", "new", "old") for family in ("", "rrm-", "sac-", "rrm-surf-")],
+    "suffixes": ["oracle", "pebble", *(f"{m}-{s}" for m in ("oracle", "pebble", "rrm-proxy") for s in ("a", "b", "c"))],
+    "settings": [f"{family}-proxy-bfloat16" for family in ("rrm", "sac", "rrm-surf", "rrm-mrn")],
+    "crossed": ["pebble", "rrm-pebble", "proxy", "rrm-proxy", "finetune-mse", "pebble-mse", "surf-mse"],
+    "forty": [f"rrm-{n}" for n in range(40)],
+}
+
+
+@pytest.mark.parametrize("crowd", CROWDS.values(), ids=CROWDS)
+def test_whatever_is_drawn_together_is_told_apart(crowd):
+    """Printed in black and white, every method of a figure has a marker, filling or line of its own."""
+    looks = styles(crowd)
+    assert len({(look.marker, look.linestyle, look.markerfacecolor == "white") for look in looks.values()}) == len(
+        crowd
+    )
+
+
+def test_twelve_methods_differ_in_marker_and_colour():
+    """Ten new methods beside two known ones: a marker and a colour for each, whatever the sight."""
+    looks = styles(CROWDS["twelve"])
+    assert len({look.marker for look in looks.values()}) == 12
+    for one, two in itertools.combinations(looks.values(), 2):
+        for sight in SIGHTS:
+            if sight != "tritanopia":
+                assert distance(to_rgb(one.color), to_rgb(two.color), sight) >= COLOUR, (one, two)
+
+
+def test_new_methods_change_no_known_one():
+    """Known methods keep their looks, a new one among them its own; the order of the plan plays no role."""
+    crowd = ["rrm-mine", *CROWDS["families"], *CROWDS["suffixes"], "pebble", "rrm-proxy", "finetune-mse"]
+    looks = styles(crowd)
+    assert looks == styles(sorted(crowd, reverse=True))
+    for known in ("oracle", "pebble", "rrm-proxy", "finetune-mse"):
+        assert looks[known] == style(known)
+    assert styles(["rrm-mine", "pebble", "rrm-proxy"])["rrm-mine"] == style("rrm-mine")
+
+
+def test_a_prior_of_the_users_keeps_its_colour_in_every_family():
+    """`rrm-mine` and `sac-mine` are to one another as `rrm-proxy` and `sac-proxy`, in whatever company."""
+    looks = styles(["rrm-new", "sac-new", "rrm-old", "sac-old", "rrm-v1", "sac-v1"])
+    for prior in ("new", "old", "v1"):
+        ours, alone = looks[f"rrm-{prior}"], looks[f"sac-{prior}"]
+        assert (ours.color, ours.marker) == (alone.color, alone.marker)
+        assert (ours.markerfacecolor, alone.markerfacecolor) == (ours.color, "white")
+
+
+def test_a_figure_draws_its_methods_apart():
+    """Lines and legend of a figure go by the looks of all its methods, those without a run yet among them."""
+    names = CROWDS["versions"]
+    sweep = Sweep(curves={name: [[0.1 * n, 0.5, 1.0, 1.0]] for n, name in enumerate(names)})
+    rows, jobs = sweep.frames()
+    lines = learning_curves(rows, jobs).axes[0].lines
+    assert [(line.get_color(), line.get_marker()) for line in lines] == [styles(names)[name][:2] for name in names]
+    fewer = learning_curves(rows[rows["method"] != "rrm-v1"], jobs).axes[0].lines
+    assert [line.get_marker() for line in fewer] == [styles(names)[name].marker for name in names[1:]]
 
 
 def test_only_oracles_are_dotted():

@@ -20,7 +20,6 @@ from pathlib import Path
 import pytest
 
 from rrmctl.errors import Exit
-from rrmctl.running.child import worker_environment
 from rrmctl.running.pool import Assignment, Pool
 from rrmctl.running.scheduler import Outcome, Phase
 from rrmctl.store import load
@@ -471,14 +470,6 @@ def test_force_starts_from_nothing_once(tmp_path: Path, behave: Callable[..., No
     assert pool(layout, again, watcher).run() is Exit.DONE
     assert watcher.notes == ["from step 0", "from step 20"]
     assert attempts(layout, assigned) == [3]
-
-
-def test_the_environment_of_a_worker() -> None:
-    """Threads are limited before anything is imported; the renderer is off unless chosen, and its trace removed."""
-    told = worker_environment(2, {"PATH": "/bin", "OMP_NUM_THREADS": "64", "PYOPENGL_PLATFORM": "egl"})
-    assert (told["OMP_NUM_THREADS"], told["OPENBLAS_NUM_THREADS"], told["MUJOCO_GL"]) == ("2", "2", "disabled")
-    assert "PYOPENGL_PLATFORM" not in told
-    assert worker_environment(1, {"MUJOCO_GL": "egl"})["MUJOCO_GL"] == "egl"
 
 
 @pytest.mark.slow

@@ -57,6 +57,17 @@ def test_a_crash_is_tried_again_behind_the_others_and_not_for_ever(kind: ErrorKi
     assert scheduler.exit_code() is Exit.FAILED
 
 
+def test_a_file_that_is_missing_stops_its_run_alone() -> None:
+    """Neither failed nor tried again; the others run, and the sweep is incomplete."""
+    scheduler = Scheduler("abc", slots=1, requires={"c": ["a"]})
+    assert start_all(scheduler) == ["a"]
+    assert scheduler.end("a", failed(ErrorKind.MISSING)) is Phase.STOPPED
+    assert start_all(scheduler) == ["b"]
+    scheduler.end("b", DONE)
+    assert scheduler.finished
+    assert scheduler.exit_code() is Exit.INCOMPLETE
+
+
 def test_a_mistake_is_not_tried_again() -> None:
     """The same configuration would fail in the same way."""
     scheduler = Scheduler("a", slots=1)

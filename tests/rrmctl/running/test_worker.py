@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from rrm.config import RewardConfig
+from rrm.config import FeedbackConfig, ImitationConfig, RewardConfig
 from rrm.training.config import RunConfig
 from rrmctl.running.runfile import config_content, load_config
 from rrmctl.running.worker import WorkerExit, main
@@ -232,22 +232,49 @@ def test_a_configuration_of_another_kind_is_refused(folder: RunFolder, change: d
     assert told in refusal(folder)
 
 
-def test_a_prior_that_changed_after_planning_is_refused(tmp_path: Path) -> None:
-    """The file is checked before training; so is one that is gone."""
-    prior = tmp_path / "mine.py"
-    prior.write_text("def closer(obs):\n    return 0.0\n")
-    planned = (
-        config(0).model_copy(update={"reward": RewardConfig(learner="prior", prior=f"{prior}:closer")}).canonical()
-    )
-    folder = Layout(tmp_path).run(planned.identity)
+def with_files(root: Path) -> tuple[RunConfig, list[Path]]:
+    """A run, and a prior, a learner and demonstrations of the user's for it."""
+    files = [root / name for name in ("mine.py", "taught.py", "shown.safetensors")]
+    files[0].write_text("def closer(step):\n    return 0.0\n")
+    files[1].write_text("class Taught:\n    pass\n")
+    files[2].write_text("frames")
+    return config(0), files
+
+
+@pytest.mark.parametrize("at", range(3))
+def test_a_file_that_is_not_there_now_stops_the_run(tmp_path: Path, at: int) -> None:
+    """One that is gone, no Python any more, or a folder: said by name, no failure of the run, which goes on later."""
+    planned, files = with_files(tmp_path)
+    prior, learner, demos = map(str, files)
+    update = [
+        {"reward": RewardConfig(learner="prior", prior=f"{prior}:closer")},
+        {"reward": RewardConfig(learner=f"{learner}:Taught"), "feedback": FeedbackConfig(segment=2), "horizon": 10},
+        {"reward": RewardConfig(learner="airl"), "imitation": ImitationConfig(demos=demos, seed_steps=2)},
+    ]  # fmt: skip
+    planned = planned.model_copy(update=update[at]).canonical()
+    folder, file = Layout(tmp_path).run(planned.identity), files[at]
     record_config(folder, config_content(planned))
     assert isinstance(load_config(folder), RunConfig)
-    prior.write_text("def closer(obs):\n    return 1.0\n")
-    told = refusal(folder)
-    assert "mine.py has changed since this run was planned" in told
-    assert "rrmctl resume --retry-failed" in told
-    prior.unlink()
-    assert "mine.py" in refusal(folder)
+    content = file.read_bytes()
+
+    def stopped() -> str:
+        assert work(folder) is WorkerExit.MISSING
+        status = read_status(folder)
+        assert status.state is State.INTERRUPTED
+        assert status.error is not None
+        assert status.error.kind is ErrorKind.MISSING
+        assert "bring it back" in str(status.error)
+        return str(status.error)
+
+    file.write_bytes(b"def (")
+    assert f"{file} has changed since this run was planned" in stopped()
+    file.unlink()
+    assert f"cannot read {file}" in stopped()
+    file.mkdir()
+    assert f"cannot read {file}" in stopped()
+    file.rmdir()
+    file.write_bytes(content)
+    assert work(folder) is WorkerExit.DONE
 
 
 def test_a_configuration_survives_its_file(folder: RunFolder) -> None:

@@ -72,7 +72,7 @@ def test_json_that_is_not_an_object_is_refused_by_name(tmp_path: Path, content: 
 def test_a_file_that_cannot_be_read_now_is_not_damaged(tmp_path: Path) -> None:
     """What it holds nobody knows: it is not one to set aside."""
     (tmp_path / "status.json").mkdir()
-    with pytest.raises(StorageError, match=r"status\.json cannot be read now: Is a directory"):
+    with pytest.raises(StorageError, match=r"status\.json cannot be read now: not a regular file"):
         read_json(tmp_path / "status.json")
 
 

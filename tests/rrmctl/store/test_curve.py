@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 import pandas as pd
@@ -137,5 +137,5 @@ def test_a_curve_that_cannot_be_read_now_is_not_damaged(tmp_path: Path) -> None:
     """Nothing is known of it: nobody may set it aside and train it again."""
     folder = Layout(tmp_path).run("0123456789abcdef")
     folder.curve.mkdir(parents=True)
-    with pytest.raises(StorageError, match=r"curve\.parquet cannot be read now: Is a directory"):
+    with pytest.raises(StorageError, match=r"curve\.parquet cannot be read now: not a regular file"):
         writer(tmp_path)

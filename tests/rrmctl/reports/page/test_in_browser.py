@@ -1,15 +1,20 @@
 """The page in a real browser, opened from disk."""
 
+from pathlib import Path
+
 import pytest
 from typer.testing import CliRunner
 
 from rrmctl.cli.app import app
+from rrmctl.reports.page.document import build
+from rrmctl.reports.settings import Settings
 from rrmctl.store.inventory import inventory
 from rrmctl.store.layout import Layout
 from rrmctl.store.records import ErrorKind, RunError, State, Status, write_status
 from tests.browser import browser
 from tests.rrmctl.reports.frames import RISING, Sweep
 
+REFERENCE = Path(__file__).parents[4] / "results" / "reference"
 TASK = "button-press"
 NASTY = "<script>window.hit=1</script><img src=x onerror=window.hit=1>\"'>"
 METHOD = "m<script>window.hit=1</script>"
@@ -55,11 +60,16 @@ def page(running, path):
     opened.on("pageerror", lambda error: wrong.append(str(error)))
     opened.on("request", lambda request: asked.append(request.url))
     opened.goto(path.as_uri())
+    unfold(opened)
     yield opened
     assert wrong == []
     assert {url for url in asked if not url.startswith("data:")} == {path.as_uri()}
     assert opened.evaluate("window.hit") is None
     opened.close()
+
+
+def unfold(page):
+    page.evaluate("document.querySelectorAll('details').forEach((each) => { each.open = true })")
 
 
 def column(page, name, table=RUNS):
@@ -185,6 +195,69 @@ def test_it_prints(page):
         assert max(widths) <= page.viewport_size["width"]
 
 
+@pytest.fixture(scope="module")
+def of_reference(tmp_path_factory):
+    target = tmp_path_factory.mktemp("reference") / "report.html"
+    target.write_text(build(REFERENCE, settings=Settings(replicates=100)))
+    return target
+
+
+@pytest.fixture
+def reference(running, of_reference):
+    """The page of the reference results, as it opens."""
+    opened = running.new_page(viewport={"width": 1280, "height": 900}, reduced_motion="reduce")
+    opened.goto(of_reference.as_uri())
+    yield opened
+    opened.close()
+
+
+def test_it_begins_with_what_there_is(reference):
+    """How complete the study is, figures and the main table; then claims that are decided, the others folded."""
+    shown = "[...document.querySelectorAll('main > section')].map((each) => each.id)"
+    ids = reference.evaluate(shown)
+    assert ids[0] == "overview"
+    assert ids[-1] == "common-tables"
+    assert "103 of 103 planned runs are done." in reference.locator("#overview").inner_text()
+    assert reference.locator("#overview ~ section .zoom img").first.bounding_box()["y"] < 900
+    chapter = "#main-results-laptop"
+    parts = reference.evaluate(f"[...document.querySelectorAll('{chapter} > section')].map((each) => each.id)")
+    assert parts == [f"main-results-laptop-{name}" for name in ("figures", "tables")]
+    assert reference.locator(f"{chapter}-tables table").first.evaluate("(table) => table.closest('[id]').id") == (
+        "main-results-laptop-iqm"
+    )
+    told = reference.locator("#common-tables")
+    undecided = told.locator("details", has_text="claims: not enough data")
+    assert not undecided.locator("table").is_visible()
+    decided = told.locator(":scope > div > .scroll tbody").inner_text()
+    assert "not held" in decided
+    assert "not enough data" not in decided
+    undecided.locator("summary").click()
+    assert undecided.locator("table").is_visible()
+    assert reference.locator("main details[open]").count() == 1
+
+
+def test_a_link_unfolds_what_it_leads_to(reference):
+    """The runs of a chapter are folded; their line of the contents shows them."""
+    runs = reference.locator("#main-results-laptop-runs table")
+    assert not runs.is_visible()
+    reference.locator("nav a[href='#main-results-laptop-runs']").click()
+    runs.wait_for(state="visible")
+
+
+@pytest.mark.parametrize("width", [1280, 390])
+def test_nothing_is_cut_off(reference, width):
+    """At a desk and on a telephone the page is as wide as the window; what is wider scrolls within itself."""
+    reference.set_viewport_size({"width": width, "height": 900})
+    unfold(reference)
+    assert reference.evaluate("document.documentElement.scrollWidth") == width
+    beyond = """[...document.querySelectorAll('main *')].filter((each) => !each.closest('.scroll')
+        && each.getBoundingClientRect().right > window.innerWidth).map((each) => each.outerHTML.slice(0, 80))"""
+    assert reference.evaluate(beyond) == []
+    hidden = """[...document.querySelectorAll('main .scroll')]
+        .filter((each) => each.scrollWidth > each.clientWidth && getComputedStyle(each).overflowX !== 'auto').length"""
+    assert reference.evaluate(hidden) == 0
+
+
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 def test_it_is_read_on_a_telephone(page, scheme):
     """On a narrow window the page itself does not scroll sideways, contents are folded, ink stands out."""
@@ -205,6 +278,7 @@ def test_a_script_that_slipped_in_does_not_run(running, path, tmp_path):
     (tmp_path / "page.html").write_text(text)
     opened = running.new_page()
     opened.goto((tmp_path / "page.html").as_uri())
+    unfold(opened)
     assert opened.locator("#slipped").inner_text() == "in"
     assert opened.evaluate("window.hit") is None
     opened.locator(f"{RUNS} thead button").first.click()
