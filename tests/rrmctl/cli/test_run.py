@@ -408,7 +408,7 @@ def test_ctrl_c_leaves_with_75_and_resume_ends_it(tmp_path: Path) -> None:
     program.send_signal(signal.SIGINT)
     out, _ = program.communicate(timeout=120)
     assert program.returncode == 75
-    assert f"rrmctl resume toy-car --results {tmp_path} goes on" in out
+    assert f"this goes on where it stopped: rrmctl resume toy-car --results {tmp_path}" in out
     assert call("resume", "toy-car", "--results", tmp_path).exit_code == 0
     assert set(planned(tmp_path, "toy-car")["state"]) == {"done"}
 

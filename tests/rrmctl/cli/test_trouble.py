@@ -89,7 +89,7 @@ def test_a_run_without_its_configuration_is_healed_by_running_its_experiment_aga
         path.unlink()
     result = call("resume", "--results", tmp_path)
     assert result.exit_code == 1
-    assert "config.json is missing (run its experiment again: `rrmctl run NAME` writes it anew)" in result.stderr
+    assert "configurations are missing; this makes them, and the runs: rrmctl run toy-car" in result.stderr
     assert "failed" not in call("status", "--results", tmp_path).stdout
     result = call(*sweep)
     assert result.exit_code == 0, result.output
