@@ -88,6 +88,9 @@ class Lines:
         self.console.print(line.append(text, style), soft_wrap=True)
 
     def _failed(self, job: str, error: RunError, phase: Phase) -> None:
+        if error.kind is ErrorKind.WAITING:
+            self.say(job, f"waits for {error}", style="yellow")
+            return
         after = {Phase.WAITING: "will be tried again", Phase.FAILED: "failed"}.get(phase, "stopped")
         self.say(job, f"{after}: {error}", style="red")
         folder = self._layout.run(job)

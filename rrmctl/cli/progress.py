@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from rrmctl.store.sweeps import JobRecord, SweepRecord
 
 #: States in the order in which they are shown.
-STATES = ("done", "running", "interrupted", "queued", "failed", "blocked", "unreadable")
+STATES = ("done", "running", "interrupted", "waiting", "queued", "failed", "blocked", "unreadable")
 
 #: States in which nothing is left to be done, or can be.
 OVER = ("done", "failed", "blocked")

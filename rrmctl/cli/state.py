@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import sys
 import time
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -32,6 +33,7 @@ _COLOURS = {
     "done": "green",
     "running": "cyan",
     "interrupted": "yellow",
+    "waiting": "yellow",
     "failed": "red",
     "blocked": "red",
     "unreadable": "bold red",
@@ -154,6 +156,8 @@ class _View:
         hints = []
         if self.total.counts["failed"] or self.total.counts["unreadable"]:
             hints.append(f"Why runs failed: {self._command('status', '--failed')}")
+        waited = Counter(str(status.error) for status in self._states.values() if status.state == "waiting")
+        hints += [f"{runs(count)} waiting for {what}" for what, count in waited.items()]
         jobs = [job for job in self._every_job() if self._states[job.id].state not in OVER]
         gone = unconfigured(self._layout, jobs)
         if not self.total.counts["running"] and len(jobs) > len(gone):

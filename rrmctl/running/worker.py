@@ -50,6 +50,7 @@ class WorkerExit(IntEnum):
     CRASHED = 1  #: an exception nobody foresaw; its traceback is in the log
     REFUSED = 2  #: a mistake in what it was given; trying again would not help
     MISSING = 66  #: a file of the user's is not there now
+    WAITING = 69  #: checkpointed; what must come from outside has not come yet
     STORAGE = 74  #: the results folder took no write
     STOPPED = 75  #: checkpointed; the next worker goes on
     LOCKED = 76  #: another process owns the run
@@ -236,7 +237,8 @@ def _report(folder: RunFolder, error: Exception, pipe: Pipe) -> tuple[WorkerExit
 
 def _record_failure(lease: Lease, reason: RunError) -> None:
     # What may not happen again is not the run's end: whether it is tried again, its parent or the next one decides.
-    state = State.FAILED if reason.kind is ErrorKind.REFUSED else State.INTERRUPTED
+    ends = {ErrorKind.REFUSED: State.FAILED, ErrorKind.WAITING: State.WAITING}
+    state = ends.get(reason.kind, State.INTERRUPTED)
     try:
         with lease.writing():
             status = read_status(lease.folder)
@@ -246,7 +248,7 @@ def _record_failure(lease: Lease, reason: RunError) -> None:
 
 
 def _reason(folder: RunFolder, error: Exception) -> tuple[WorkerExit, RunError]:
-    from rrm.errors import MissingResultError, RrmError
+    from rrm.errors import MissingResultError, RrmError, WaitingError
 
     if isinstance(error, OSError) and error.errno in atomic.STORAGE_ERRNOS:
         error = atomic.storage_error(Path(error.filename or folder.path), error, "read or write")
@@ -254,6 +256,8 @@ def _reason(folder: RunFolder, error: Exception) -> tuple[WorkerExit, RunError]:
     if isinstance(error, atomic.StorageError):
         message = f"{error} ({error.todo}, then `{rrmctl('resume', results=folder.results)}` goes on)"
         return WorkerExit.STORAGE, RunError(kind=ErrorKind.STORAGE, type=name, message=message)
+    if isinstance(error, WaitingError):
+        return WorkerExit.WAITING, RunError(kind=ErrorKind.WAITING, type=name, message=str(error))
     if isinstance(error, MissingFileError):
         return WorkerExit.MISSING, RunError(kind=ErrorKind.MISSING, type=name, message=_told(error))
     if isinstance(error, UserError | RrmError):

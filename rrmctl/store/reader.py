@@ -67,7 +67,7 @@ def statuses(layout: Layout, jobs: Iterable[Requiring]) -> dict[str, Status]:
     return {run: look(run) for run in requires}
 
 
-_WAITING = (State.QUEUED, State.INTERRUPTED)
+_WAITING = (State.QUEUED, State.INTERRUPTED, State.WAITING)
 
 
 def blocked_by(run: str, error: RunError | None) -> RunError:

@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Any
 
 from rrm.config import EvaluationConfig, ExplorationConfig, RewardConfig
-from rrm.errors import PriorError
+from rrm.errors import PriorError, WaitingError
 from rrm.training.config import RunConfig
 from rrm.types import EvalRow
 from rrmctl.running import lifeline, worker
@@ -124,6 +124,10 @@ def misbehave(behaviour: str, folder: Path, monitor: RunMonitor) -> None:
             raise RuntimeError("boom")
         case "crash-once" if first:
             raise RuntimeError("boom, but once")
+        case "wait" if not (folder.parents[1] / "answers").exists():
+            with monitor.writing():
+                save(folder / "checkpoint" / "step", monitor.status.step)
+            raise WaitingError("3 answers of its teacher")
         case "refuse":
             raise PriorError("prior returned NaN at step 20")
         case "segfault":

@@ -18,7 +18,9 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
+from typer.testing import CliRunner
 
+from rrmctl.cli.app import app
 from rrmctl.errors import Exit
 from rrmctl.running.pool import Assignment, Pool
 from rrmctl.running.scheduler import Outcome, Phase
@@ -161,6 +163,25 @@ def half_way(layout: Layout, assigned: list[Assignment]) -> list[int]:
 def go(layout: Layout) -> None:
     """Open the gate."""
     (layout.root / "go").touch()
+
+
+def test_a_run_that_waits_gives_its_slot_to_the_others(tmp_path: Path, behave: Callable[..., None]) -> None:
+    """Its process leaves, it is no failure, `status` says for what; once that has come, it goes on where it was."""
+    behave(s0="wait")
+    layout, assigned = prepare(tmp_path, range(2))
+    watcher = Record()
+    assert pool(layout, assigned, watcher, slots=1).run() is Exit.INCOMPLETE
+    assert states(layout, assigned) == [State.WAITING, State.DONE]
+    assert watcher.errors == ["3 answers of its teacher"]
+    told = CliRunner().invoke(app, ["status", "--results", str(tmp_path)]).stdout
+    assert "1 run waiting for 3 answers of its teacher" in told
+    (tmp_path / "answers").touch()
+    layout, again = prepare(tmp_path, range(1))
+    later = Record()
+    assert pool(layout, again, later).run() is Exit.DONE
+    assert later.notes == ["from step 25"]
+    assert attempts(layout, assigned) == [2, 1]
+    assert rows(tmp_path) == expected(range(2))
 
 
 def test_every_job_is_run_once_and_recorded(tmp_path: Path) -> None:
