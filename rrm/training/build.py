@@ -15,6 +15,7 @@ from rrm.config import IMITATION
 from rrm.errors import DemosError, MissingResultError
 from rrm.imitation.demos import Demonstrations
 from rrm.imitation.finetune import Finetune, ImitatedReward
+from rrm.imitation.networks import RewardNet
 from rrm.interfaces import Agent, RewardFunction, RewardLearner
 from rrm.priors import load_prior
 from rrm.priors.imitation import ImitationPrior
@@ -66,7 +67,7 @@ def assemble(config: RunConfig, streams: Streams, results: Results) -> Parts:
     spec = config.spec()
     agent = build_agent(config, streams)
     experience = Experience(config.steps, config.episode_steps, spec.obs_dim, spec.act_dim)
-    prior = _prior(config, streams, results)
+    prior = build_prior(config, streams, results)
     replay = Replay(experience, config.agent.batch, streams.torch("replay"))
     phases = _Phases(config, streams, results, experience, replay).all()
     return Parts(agent=agent, experience=experience, replay=replay, prior=prior, phases=phases)
@@ -110,7 +111,7 @@ class _Phases:
         """PEBBLE's: an unsupervised phase (none before a residual), and a fresh critic for the first reward."""
         config, streams = self._config, self._streams
         learner_class = lookup(LEARNERS, "learner", config.reward.learner)
-        reward = _reward_function(config, streams)
+        reward = build_reward(config, streams)
         source = self._preferences(learner_class(reward, config.reward, streams.numpy("reward")))
         entropy = StateEntropy(source, self._experience, self._replay, config.exploration.neighbours)
         return (
@@ -167,14 +168,22 @@ class _Phases:
         return demos
 
 
-def _reward_function(config: RunConfig, streams: Streams) -> RewardFunction:
-    """The learned reward: a residual on the prior where there is one, else a network alone."""
+def build_reward(config: RunConfig, streams: Streams) -> RewardFunction:
+    """The learned reward, untrained: a residual on the prior where there is one, g alone where that is fine-tuned, else
+    an ensemble alone.
+    """
     kind, spec = ResidualReward if config.reward.prior is not None else EnsembleReward, config.spec()
+    if config.from_demonstrations:
+        return ImitatedReward(RewardNet(config.imitation, spec.obs_dim, spec.act_dim, None))
     return kind(config.reward, spec.obs_dim, spec.act_dim, streams.torch("reward-init"), config.precision)
 
 
-def _prior(config: RunConfig, streams: Streams, results: Results) -> PriorSource | None:
-    """The prior with its normaliser; None where the reward has none."""
+def build_prior(config: RunConfig, streams: Streams, results: Results) -> PriorSource | None:
+    """The prior with its normaliser; None where the reward has none.
+
+    Raises:
+        RrmError: the prior is unknown, does not import, or what trains it has not left it behind.
+    """
     name = config.reward.prior
     if name is None:
         return None

@@ -226,8 +226,10 @@ class Trainer:
         return weights
 
     def legacy(self) -> State:
-        """What a finished run leaves behind: the agent and, where there is one, the learned reward or the prior."""
+        """What a finished run leaves behind: the agent and, where there are such, learned reward and scale of the prior."""
         left: State = {"agent": self.agent.state_dict()}
+        if self.prior is not None:
+            left["prior"] = self.prior.state_dict()
         for source in self.sources.values():
             left |= source.legacy()
         return left
