@@ -226,7 +226,7 @@ class Trainer:
         return weights
 
     def legacy(self) -> State:
-        """What a finished run leaves behind: the agent and, where there are such, learned reward and scale of the prior."""
+        """What a finished run leaves behind: the agent and, where there are such, the reward and the prior's scale."""
         left: State = {"agent": self.agent.state_dict()}
         if self.prior is not None:
             left["prior"] = self.prior.state_dict()
