@@ -6,11 +6,12 @@ continues bit for bit where it was saved.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 import numpy as np
 import numpy.typing as npt
+
+from rrm.config import Needs
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -19,6 +20,11 @@ if TYPE_CHECKING:
     from torch import Tensor
 
     from rrm.types import Batch, Segments, State
+
+__all__ = [
+    "Agent", "Answer", "CriticAgent", "Env", "Feedback", "Floats", "Needs", "Query", "RewardFunction", "RewardLearner",
+    "SegmentRef", "Stateful", "StochasticAgent", "Teacher", "TrueRewards",
+]  # fmt: skip
 
 Floats = npt.NDArray[np.float32]
 
@@ -127,17 +133,6 @@ class RewardFunction(Stateful, Protocol):
 
         Args: rewards: what `members` said of `segments`.
         """
-
-
-@dataclass(frozen=True, kw_only=True)
-class Needs:
-    """What a learner asks of feedback sessions and of the loop, beyond labelled pairs of segments."""
-
-    margin: int = 0  #: steps beside a segment, on either side: it sees more than the teacher, who sees the middle
-    unlabelled: int = 0  #: uniform pairs without a label, drawn and kept for each query
-    refine_every: int = 1  #: environment steps between two calls of `refine`, which come before an update of the agent
-    refine_when_spent: bool = True  #: whether `refine` is still called once every question is asked
-    time_limits_end: bool = False  #: whether the batch of `refine`, and of the update after it, ends at time limits
 
 
 class RewardLearner(Stateful, Protocol):

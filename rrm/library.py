@@ -118,7 +118,7 @@ class Finished:
         Raises:
             ConfigError: the run learned none.
         """
-        if not self.config.reward.is_learned:
+        if not self.config.reward.kind.learned:
             raise ConfigError(f"{self._folder} holds no learned reward: the method is {self.config.method}")
         reward = build_reward(self.config, Streams(self.config.seed))
         reward.load_state_dict(self._networks["reward"])

@@ -11,7 +11,7 @@ from rrm.agents import AGENTS
 from rrm.buffers.experience import Experience
 from rrm.buffers.replay import Replay
 from rrm.checkpoint import again
-from rrm.config import IMITATION
+from rrm.config import IMITATION, PRIOR_ALONE
 from rrm.errors import DemosError, MissingResultError
 from rrm.imitation.demos import Demonstrations
 from rrm.imitation.finetune import Finetune, ImitatedReward
@@ -99,12 +99,13 @@ class _Phases:
         self._replay = replay
 
     def all(self) -> tuple[Phase, ...]:
-        if self._config.from_demonstrations:
+        kind = self._config.reward.kind
+        if kind.demonstrated:
             return self._from_demonstrations()
-        return self._from_preferences() if self._config.reward.is_learned else self._known()
+        return self._known() if kind.known else self._from_preferences()
 
     def _known(self) -> tuple[Phase, ...]:
-        source = (PriorAlone if self._config.reward.learner == "prior" else TrueReward)(self._replay)
+        source = (PriorAlone if self._config.reward.kind is PRIOR_ALONE else TrueReward)(self._replay)
         return self._begun_by(source), Phase(name=source.name, begin=self._config.random_steps, source=source)
 
     def _from_preferences(self) -> tuple[Phase, ...]:
@@ -125,7 +126,7 @@ class _Phases:
 
     def _from_demonstrations(self) -> tuple[Phase, ...]:
         config = self._config
-        kept = not config.reward.is_learned
+        kept = not config.reward.kind.learned
         source = Adversarial(
             config.imitation, self._demonstrations(), self._replay,
             discount=config.agent.discount, streams=self._streams, precision=config.precision,

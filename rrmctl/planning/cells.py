@@ -15,7 +15,7 @@ from collections.abc import Iterator, Mapping
 from functools import cache
 from typing import Any
 
-from rrm.config import EvaluationConfig, ExplorationConfig, FeedbackConfig, ImitationConfig, MrnConfig
+from rrm.config import EvaluationConfig, ExplorationConfig, FeedbackConfig, ImitationConfig, RewardConfig
 from rrm.envs.tasks import TASKS
 from rrm.teachers import TEACHERS
 from rrm.training.config import RunConfig
@@ -148,7 +148,7 @@ def _amounts(scale: str, task: str, kind: Kind) -> dict[str, int]:
         ("feedback", FeedbackConfig()),
         ("exploration", ExplorationConfig()),
         ("evaluation", EvaluationConfig()),
-        ("reward.mrn", MrnConfig()),
+        *((f"reward.{name}", section) for name, section in RewardConfig.own().items()),
         ("imitation", ImitationConfig()),
     ):
         values |= {f"{room}.{name}": value for name, value in model.model_dump().items()}

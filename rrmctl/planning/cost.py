@@ -187,7 +187,7 @@ def _reward_seconds(config: RunConfig, gemm: float) -> float:
     spec = config.spec()
     inputs = spec.obs_dim + spec.act_dim + (reward.prior is not None)
     weights = _weights(inputs, reward.hidden, reward.layers, 1) * reward.members
-    rows = (feedback.segment + 2 * reward.margin) * reward.minibatch * reward.pairs_per_label
+    rows = (feedback.segment + 2 * reward.settings.needs().margin) * reward.minibatch * reward.settings.pairs_per_label
     fit = _CALL_S + _SLACK * 12 * weights * rows / gemm
     labels = min(feedback.batch * (sessions + 1) / 2, reward.capacity)  # the mean over the sessions
     stored = config.first_session + feedback.every * (sessions - 1) / 2
@@ -200,7 +200,7 @@ def _imitation_seconds(config: RunConfig, gemm: float) -> float:
     if not config.from_demonstrations:
         return 0.0
     spec, imitation, agent = config.spec(), config.imitation, config.agent
-    steps = (config.first_session if config.reward.is_learned else config.steps) - config.random_steps
+    steps = (config.first_session if config.reward.kind.learned else config.steps) - config.random_steps
     shape = (imitation.hidden, imitation.layers, 1)
     g, h = _weights(spec.obs_dim + spec.act_dim, *shape), 2 * _weights(spec.obs_dim, *shape)
     actor = _weights(spec.obs_dim, agent.hidden, agent.layers, 2 * spec.act_dim)

@@ -96,7 +96,7 @@ def test_a_run_in_pieces_is_the_run(imitating, results, recorder, networks, tmp_
         together.rows |= piece.rows
     assert straight.numbers() == together.numbers()
     assert networks(tmp_path / "a") == networks(tmp_path / "b")
-    if config.reward.is_learned:
+    if config.reward.kind.learned:
         tables = [pq.read_table(tmp_path / name / "gradients.parquet") for name in "ab"]
         assert tables[0].equals(tables[1])
 
