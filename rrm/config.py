@@ -68,7 +68,6 @@ class Section(BaseModel):
 class AgentConfig(Section):
     """SAC (appendix, table of SAC hyper-parameters; what that table leaves open follows B-Pref)."""
 
-    kind: Literal["sac"] = "sac"  #: its name in `rrm.agents.AGENTS`
     hidden: Count = 256  #: units of each hidden layer, actor and critic
     layers: Count = 3  #: hidden layers
     batch: Count = 512  #: transitions per update
@@ -80,6 +79,7 @@ class AgentConfig(Section):
     tau: Fraction = 0.005  #: share of the critic that enters its target
     target_every: Count = 2  #: updates between two target updates
     update_every: Count = 1  #: environment steps per update
+    kind: Literal["sac"] = "sac"  #: its name in `rrm.agents.AGENTS`
 
 
 class LearnerSettings(Section):
