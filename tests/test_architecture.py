@@ -41,8 +41,9 @@ FACTS = {
 
 #: Floors of `rrm`: a module imports from floors below its own, or from its own package.
 FLOORS = {
+    "library": 7,
     "training": 6,
-    "priors": 5,
+    "priors": 5, "sources": 5,
     "imitation": 4, "teachers": 4, "queries": 4,
     "agents": 3, "rewards": 3,
     "buffers": 2,
@@ -51,6 +52,7 @@ FLOORS = {
 #: Where a name or a text becomes something that runs, and how: names in our own tables, `file.py:function` of the
 #: user's, what is rebuilt from a language model's words, and our own folders of commands.
 DYNAMIC = {
+    "rrm": {"import_module"},
     "rrm.envs.tasks": {"import_module"},
     "rrm.registry": {"import_module", "compile", "exec_module"},
     "rrm.priors.language.translate": {"compile", "exec"},
