@@ -8,13 +8,12 @@ from importlib.metadata import version
 import numpy as np
 
 from rrm.envs import make
-from rrm.training.config import RunConfig
-from rrm.training.demos import DemosConfig
+from rrm.training.kinds import JobConfig
 
 _STEPS = 50
 
 
-def fingerprint(config: RunConfig | DemosConfig) -> dict[str, str]:
+def fingerprint(config: JobConfig) -> dict[str, str]:
     """Versions of what the run's task is made of, and `true_reward`: a digest of its rewards along a fixed random walk.
 
     Rewards are rounded to six digits, so that machines that differ in the last bits agree.

@@ -1,4 +1,6 @@
-"""Jobs: what a process is given to do. Two kinds: training a policy, and collecting demonstrations of one."""
+"""Jobs: what a process is given to do. `rrm.training.kinds` has the table: training a policy, or collecting
+demonstrations of one.
+"""
 
 from __future__ import annotations
 
@@ -16,11 +18,13 @@ import torch
 from rrm.checkpoint import KEPT, Checkpoints, check_finite, encode
 from rrm.errors import NumericalError, PriorError, WaitingError
 from rrm.files import make_folder, write_atomically
+from rrm.registry import lookup
 from rrm.training.build import DEMOS, Assembled, Results, assemble, result_of
 from rrm.training.config import RunConfig
 from rrm.training.demonstrate import demonstrate, expert_policy
 from rrm.training.demos import DemosConfig
 from rrm.training.fingerprint import fingerprint
+from rrm.training.kinds import JOBS, JobConfig
 from rrm.training.loop import Trainer
 from rrm.types import EvalRow, State
 
@@ -55,15 +59,15 @@ class Monitor(Protocol):
         """Around every write into the job's folder; entering it raises where the folder belongs to another by now."""
 
 
-def perform(config: RunConfig | DemosConfig, folder: Path, monitor: Monitor, results: Results = _NOTHING) -> bool:
+def perform(config: JobConfig, folder: Path, monitor: Monitor, results: Results = _NOTHING) -> bool:
     """Do the job in `folder`, or go on with it; see `train` and `collect`.
 
     Args:
         results: folders of the runs that this one requires, by identity.
     """
-    if isinstance(config, DemosConfig):
-        return collect(config, folder, monitor, results)
-    return train(config, folder, monitor, results)
+    does = lookup({config.kind: JOBS[config.kind].perform}, "kind of job", config.kind)
+    finished: bool = does(config, folder, monitor, results)
+    return finished
 
 
 def collect(config: DemosConfig, folder: Path, monitor: Monitor, results: Results) -> bool:

@@ -36,9 +36,8 @@ from rrmctl.store.writer import CurveWriter
 from rrmctl.streams import attend
 
 if TYPE_CHECKING:
-    from rrm.training.config import RunConfig
-    from rrm.training.demos import DemosConfig
     from rrm.training.jobs import Monitor
+    from rrm.training.kinds import JobConfig
 
 _T = TypeVar("_T")
 
@@ -59,12 +58,10 @@ class WorkerExit(IntEnum):
 class Trainer(Protocol):
     """What the worker needs of `rrm.training.jobs`."""
 
-    def perform(
-        self, config: RunConfig | DemosConfig, folder: Path, monitor: Monitor, results: Mapping[str, Path]
-    ) -> bool:
+    def perform(self, config: JobConfig, folder: Path, monitor: Monitor, results: Mapping[str, Path]) -> bool:
         """Do the job until done (True) or told to stop (False); `results`: folders of the runs it requires, by id."""
 
-    def fingerprint(self, config: RunConfig | DemosConfig) -> dict[str, str]:
+    def fingerprint(self, config: JobConfig) -> dict[str, str]:
         """Which environment this is."""
 
 
@@ -165,7 +162,7 @@ def _attempt(
     return WorkerExit.DONE
 
 
-def _finished(folder: RunFolder, curve: CurveWriter, config: RunConfig | DemosConfig) -> bool:
+def _finished(folder: RunFolder, curve: CurveWriter, config: JobConfig) -> bool:
     """True for a run whose worker died between its end and saying so: the last row and the networks are there."""
     if curve.last_step != config.steps or not folder.model.exists():
         return False
