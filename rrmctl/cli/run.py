@@ -270,14 +270,18 @@ def _run(
 ) -> Exit:
     """Run the jobs, shown as bars at a terminal and as lines elsewhere."""
     from rrmctl.cli.live import Bars, Lines
+    from rrmctl.running.local import LocalExecutor
     from rrmctl.running.pool import Pool
 
     if not assigned:
         return Exit.DONE
-    pool = partial(
-        Pool, layout=layout, assignments=assigned, slots=slots, asked=["rrmctl", *sys.argv[1:]],
+    executor = LocalExecutor(
+        layout=layout,
         memory_limit=None if memory_gib is None else int(memory_gib * 2**30),
         hang_after_s=hang_after_min * 60.0,
+    )
+    pool = partial(
+        Pool, layout=layout, assignments=assigned, slots=slots, executor=executor, asked=["rrmctl", *sys.argv[1:]]
     )  # fmt: skip
     if not sys.stderr.isatty() or console.is_dumb_terminal:
         return pool(watcher=Lines(console, layout, assigned)).run()

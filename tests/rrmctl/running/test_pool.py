@@ -22,6 +22,7 @@ from typer.testing import CliRunner
 
 from rrmctl.cli.app import app
 from rrmctl.errors import Exit
+from rrmctl.running.local import LocalExecutor
 from rrmctl.running.pool import Assignment, Pool
 from rrmctl.running.scheduler import Outcome, Phase
 from rrmctl.store import load
@@ -37,11 +38,13 @@ import sys
 from pathlib import Path
 from tests.rrmctl.running.standin import COMMAND, prepare
 from tests.rrmctl.running.test_pool import Record
+from rrmctl.running.local import LocalExecutor
 from rrmctl.running.pool import Pool
 root, (jobs, slots, steps, lease_s) = Path(sys.argv[1]), map(int, sys.argv[2:])
 layout, assigned = prepare(root, range(jobs), steps)
 sys.exit(Pool(
-    layout=layout, assignments=assigned, slots=slots, watcher=Record(), command=COMMAND, lease_s=lease_s
+    layout=layout, assignments=assigned, slots=slots, watcher=Record(), lease_s=lease_s,
+    executor=LocalExecutor(layout=layout, command=COMMAND),
 ).run())
 """
 
@@ -90,7 +93,9 @@ def behave(monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
 
 
 def pool(layout: Layout, assigned: list[Assignment], watcher: Record | None = None, **options: object) -> Pool:
-    settings: dict[str, object] = {"slots": 3, "command": COMMAND} | options
+    own = {name: options.pop(name) for name in ("hang_after_s", "memory_limit", "command") if name in options}
+    executor = LocalExecutor(layout=layout, **({"command": COMMAND} | own))
+    settings: dict[str, object] = {"slots": 3, "executor": executor} | options
     return Pool(layout=layout, assignments=assigned, watcher=watcher or Record(), **settings)
 
 
