@@ -69,7 +69,19 @@ RUNS = {
     "run_module",
 }
 UNSAFE = {"pickle", "marshal", "shelve", "dill", "cloudpickle", "joblib", "yaml", "runpy", "code", "imp"}
-HEAVY = {"torch", "numpy", "pandas", "pyarrow", "pydantic", "matplotlib", "mujoco", "metaworld", "dm_control", "scipy"}
+HEAVY = {
+    "torch",
+    "numpy",
+    "pandas",
+    "pyarrow",
+    "pydantic",
+    "matplotlib",
+    "mujoco",
+    "metaworld",
+    "dm_control",
+    "scipy",
+    "jinja2",
+}
 
 
 def modules() -> dict[str, Path]:
