@@ -70,17 +70,8 @@ RUNS = {
 }
 UNSAFE = {"pickle", "marshal", "shelve", "dill", "cloudpickle", "joblib", "yaml", "runpy", "code", "imp"}
 HEAVY = {
-    "torch",
-    "numpy",
-    "pandas",
-    "pyarrow",
-    "pydantic",
-    "matplotlib",
-    "mujoco",
-    "metaworld",
-    "dm_control",
-    "scipy",
-    "jinja2",
+    *("torch", "numpy", "pandas", "pyarrow", "pydantic", "matplotlib", "scipy", "jinja2"),
+    *("mujoco", "metaworld", "dm_control"),
 }
 
 

@@ -14,7 +14,7 @@ from rrmctl.reports.canvas import encode
 from rrmctl.reports.figures import figures
 from rrmctl.reports.page import listings
 from rrmctl.reports.page.parts import Part, Picture, identifier
-from rrmctl.reports.page.tables import Tables, first, tables_at
+from rrmctl.reports.page.tables import Tables, rank, tables_at
 from rrmctl.reports.series import Section
 from rrmctl.reports.settings import Settings
 from rrmctl.reports.words import title
@@ -76,7 +76,7 @@ def _warnings(section: Section | UserError) -> Sequence[str]:
 
 
 def _figures(section: Section, name: str, settings: Settings) -> Iterator[Picture | str]:
-    for figure, entry in sorted(figures().items(), key=first):
+    for figure, entry in sorted(figures().items(), key=rank):
         module = entry.load()
         if not module.suits(section):
             continue

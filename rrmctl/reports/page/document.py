@@ -54,27 +54,28 @@ def build(
     variants = [each for each in found if profile in (None, each.runs[0].plan["profile"])]
     sections = [each.section for each in variants if isinstance(each.section, Section) and each.section.contained]
     gathered = gather(sections, settings)
-    explained_ = [Part(title=title, rules=sentences) for title, sentences in explained().items()]
+    rules = [Part(title=title, rules=sentences) for title, sentences in explained().items()]
     parts = [
         _overview(variants),
         *(chapter(each, gathered, settings) for each in variants),
         replace(tables_at(SEVERAL, "common", gathered), title="Across experiments"),
-        Part(id="explained", title="How to read the tables", parts=explained_, folded=True),
+        Part(id="explained", title="How to read the tables", parts=rules, folded=True),
     ]
-    command = _command(results, experiments, profile, settings, allow_mixed)
-    return render(Part(title=f"Report: {', '.join(names)}", parts=parts), command)
+    page = Part(title=f"Report: {', '.join(names)}", parts=parts)
+    return render(page, _command(results, experiments, profile, settings, allow_mixed))
 
 
 def _variants(results: str | Path, experiment: str, *, allow_mixed: bool) -> Iterator[Variant]:
     """The variants of an experiment, with what may be averaged of each or why nothing may."""
     runs, needed = inventory(results, experiment), inventory(results, experiment, needed=True)
+    names = dict.fromkeys(str(run.plan["variant"]) for run in runs)
     shown: dict[str, Section | UserError] = {}
     try:
         found = read_sections(results, experiment, allow_mixed=allow_mixed)
         shown = {section.variant: section.refusal or section for section in found}
     except UserError as error:
-        shown = dict.fromkeys((str(run.plan["variant"]) for run in runs), error)
-    for variant in dict.fromkeys(str(run.plan["variant"]) for run in runs):
+        shown = dict.fromkeys(names, error)
+    for variant in names:
         own, others = (tuple(run for run in group if run.plan["variant"] == variant) for group in (runs, needed))
         yield Variant(experiment, variant, own, others, shown[variant])
 
@@ -108,7 +109,7 @@ def render(page: Part, command: str) -> str:
     Args:
         command: what makes it again.
     """
-    shelf = PackageLoader(__package__, "")
-    environment = Environment(loader=shelf, autoescape=True, undefined=StrictUndefined, trim_blocks=True)
+    here = PackageLoader(__package__, "")
+    environment = Environment(loader=here, autoescape=True, undefined=StrictUndefined, trim_blocks=True)
     environment.filters["digest"] = lambda text: base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()
     return environment.get_template("page.html").render(page=page, command=command, version=rrm.__version__)

@@ -37,46 +37,42 @@ class Tables:
 def gather(sections: Sequence[Section], settings: Settings) -> Tables:
     """The tables of all kinds, made of all sections at once: some kinds compare experiments.
 
-    Why a kind has none at all stands at `SEVERAL`.
+    Where one section stands in the way, each is asked alone. Why a kind has none at all stands at `SEVERAL`.
     """
-    places, found = {(section.experiment, section.variant) for section in sections}, Tables()
+    places, found = [(section.experiment, section.variant) for section in sections], Tables()
     for kind, entry in kinds().items() if sections else ():
         if kind == "all":  # the others
             continue
-        module = entry.load()
-        try:
-            reports = module.make(sections, settings)
-        except UserError as error:
-            reports, reasons = _one_by_one(module, sections, settings)
-            for place, reason in reasons.items() if reports else ((SEVERAL, str(error)),):
-                found.refused[place][kind] = reason
+        reports, reason = _made(entry.load(), sections, settings)
+        if reason:
+            alone = [_made(entry.load(), [section], settings) for section in sections]
+            reports = [report for made, _ in alone for report in made]
+            reasons = zip(places, (why for _, why in alone), strict=True) if reports else [(SEVERAL, reason)]
+            for place, why in reasons:
+                if why:
+                    found.refused[place][kind] = why
         for report in reports:
             place = (report.facts["experiment"], report.facts["variant"])
             found.made[place if place in places else SEVERAL].append((kind, report))
     return found
 
 
-def _one_by_one(
-    module: ModuleType, sections: Sequence[Section], settings: Settings
-) -> tuple[list[Report], dict[Place, str]]:
-    """A kind's tables where a section stands in the way of its own, and why: no other is kept from being shown."""
-    reports, reasons = [], {}
-    for section in sections:
-        try:
-            reports += module.make([section], settings)
-        except UserError as error:
-            reasons[section.experiment, section.variant] = str(error)
-    return reports, reasons
+def _made(module: ModuleType, sections: Sequence[Section], settings: Settings) -> tuple[list[Report], str]:
+    """A kind's tables, or why there are none."""
+    try:
+        return module.make(sections, settings), ""
+    except UserError as error:
+        return [], str(error)
 
 
-def first(named: tuple[str, object]) -> int:
+def rank(named: tuple[str, object]) -> int:
     """Where a table or figure of this name stands among others."""
     return _MAIN.index(named[0]) if named[0] in _MAIN else len(_MAIN)
 
 
 def tables_at(place: Place, name: str, gathered: Tables) -> Part:
     """The tables of a place, the notes that several share once, and why others are not there."""
-    made = sorted(gathered.made[place], key=first)
+    made = sorted(gathered.made[place], key=rank)
     counted = Counter(note for _, report in made for note in dict.fromkeys(report.notes))
     shared = [note for note, count in counted.items() if count > 1]
     seen: Counter[str] = Counter()
