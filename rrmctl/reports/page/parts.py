@@ -79,8 +79,7 @@ class Part:
     notes: Sequence[str] = ()
 
     def __bool__(self) -> bool:
-        shown = (getattr(self, field.name) for field in fields(self)[3:])
-        return any(any(content) for content in shown)
+        return any(any(getattr(self, field.name)) for field in fields(self)[3:])  # after those that show nothing
 
     @property
     def listed(self) -> list[Part]:

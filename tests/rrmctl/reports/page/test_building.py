@@ -188,6 +188,7 @@ def test_settings_are_common_or_differ(results):
     assert "agent.batch" not in common
     differing = accounts.differing_settings(runs).set_index("method")
     assert dict(differing["agent.batch"]) == {"oracle": "64", "pebble": "128", "rrm-proxy": "128"}
+    assert accounts.differing_settings(runs[:1]).empty
 
 
 def test_machines_and_versions_are_told_apart():
@@ -196,6 +197,7 @@ def test_machines_and_versions_are_told_apart():
     facts = accounts.makings(runs).set_index("fact")
     assert sum(map(int, facts.loc["runs"])) == len({run.id for run in runs})
     assert set(facts.loc["precision"]) == {"float32", "bfloat16"}
+    assert accounts.makings([]).empty
 
 
 def test_a_figure_is_never_large():
