@@ -71,7 +71,10 @@ RUNS = {
     "run_module",
 }
 UNSAFE = {"pickle", "marshal", "shelve", "dill", "cloudpickle", "joblib", "yaml", "runpy", "code", "imp"}
-HEAVY = {"torch", "numpy", "pandas", "pyarrow", "pydantic", "matplotlib", "mujoco", "metaworld", "dm_control", "scipy"}
+HEAVY = {
+    *("torch", "numpy", "pandas", "pyarrow", "pydantic", "matplotlib", "scipy", "jinja2"),
+    *("mujoco", "metaworld", "dm_control"),
+}
 
 
 def modules() -> dict[str, Path]:
