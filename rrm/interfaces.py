@@ -18,9 +18,7 @@ if TYPE_CHECKING:
     import gymnasium
     from torch import Tensor
 
-    from rrm.types import Batch, Segments, State
-
-Floats = npt.NDArray[np.float32]
+    from rrm.types import Batch, Floats, Segments, State
 
 
 class Stateful(Protocol):

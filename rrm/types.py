@@ -8,10 +8,13 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+import numpy as np
+import numpy.typing as npt
+
 if TYPE_CHECKING:
     from torch import Tensor
 
-    from rrm.interfaces import Floats
+Floats = npt.NDArray[np.float32]
 
 #: What `state_dict` returns: nested dicts and lists of tensors, numpy arrays and JSON values. No other objects, so that
 #: a checkpoint can be written without a pickle.

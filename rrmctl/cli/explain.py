@@ -6,8 +6,8 @@ from typing import Annotated
 
 import typer
 
-from rrmctl.errors import UserError
 from rrmctl.reports.kinds import explained, kinds
+from rrmctl.reports.shelf import choose
 
 
 def explain(
@@ -18,12 +18,10 @@ def explain(
     """What the columns of tables mean and how their numbers are made; notes below a table say what is otherwise."""
     from rich.text import Text
 
-    from rrmctl.planning.manifest import nearest
     from rrmctl.reports.render import console_for
 
-    known = kinds()
-    if table not in (None, *known):
-        raise UserError(f'there is no table "{table}"{nearest(str(table), known)}', f"there are: {', '.join(known)}")
+    if table is not None:
+        choose(kinds(), table, "table")
     console = console_for()
     for title, sentences in explained(table).items():
         console.print(Text(title, style="bold"))

@@ -16,6 +16,7 @@ from rrmctl.cli.screen import tell
 from rrmctl.errors import UserError
 from rrmctl.reports.figures import figures
 from rrmctl.reports.kinds import kinds
+from rrmctl.reports.shelf import choose
 from rrmctl.terminal import spelled
 
 if TYPE_CHECKING:
@@ -222,13 +223,8 @@ def _chosen(wanted: Sequence[str] | None) -> dict[str, Entry]:
     Raises:
         UserError: there is no figure of a name.
     """
-    from rrmctl.planning.manifest import nearest
-
     known = figures()
-    for name in wanted or ():
-        if name not in known:
-            raise UserError(f'there is no figure "{name}"{nearest(name, known)}', f"there are: {', '.join(known)}")
-    return {name: known[name] for name in wanted or known}
+    return {name: choose(known, name, "figure") for name in wanted or known}
 
 
 def _figure_name(section: Section, figure: str, width: Across) -> str:

@@ -17,11 +17,12 @@ from typing import Any
 
 from rrm.config import EvaluationConfig, ExplorationConfig, FeedbackConfig, ImitationConfig, MrnConfig
 from rrm.envs.tasks import TASKS
+from rrm.errors import nearest
 from rrm.teachers import TEACHERS
 from rrm.training.config import RunConfig
 from rrmctl.errors import UserError
 from rrmctl.planning.grid import Row
-from rrmctl.planning.manifest import DEFAULT_FEEDBACK, Manifest, nearest
+from rrmctl.planning.manifest import DEFAULT_FEEDBACK, Manifest
 from rrmctl.planning.methods import TASK, Method
 from rrmctl.planning.profiles import PAPER, Kind, Layer, profiles
 from rrmctl.planning.schedules import Schedule

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from rrm.errors import nearest
 from rrm.files import place
 from rrmctl.errors import UserError
 
@@ -39,8 +40,6 @@ def find(name: str, folder: Path | None) -> Path:
     Raises:
         UserError: there is none; the message suggests the nearest.
     """
-    from rrmctl.planning.manifest import nearest
-
     path = place(name)
     if name.endswith(".toml") and not path.is_dir():
         if not path.exists():

@@ -7,7 +7,6 @@ format is described in docs/manifests.md; every key is a field below.
 
 from __future__ import annotations
 
-import difflib
 import re
 from collections import Counter
 from collections.abc import Iterable, Mapping
@@ -25,6 +24,7 @@ from pydantic import (
     field_validator,
 )
 
+from rrm.errors import nearest
 from rrmctl.errors import UserError, shown
 from rrmctl.planning.toml import read_toml
 
@@ -137,12 +137,6 @@ class Manifest(_Frozen):
 #: Keys and sections of a manifest, and the fields they fill where the two differ.
 _SECTIONS = {"task": "tasks", "method": "methods", "teacher": "teachers", "profile": "profiles", "grid": "grids"}
 _KEYS = {"title", "reproduces", "rule", "closing", "default_profile", "seeds", "defaults", "feedback", *_SECTIONS}
-
-
-def nearest(name: str, known: Iterable[str]) -> str:
-    """`; did you mean "x"?` where a known name is near, else nothing."""
-    near = difflib.get_close_matches(name, sorted(known), n=1)
-    return f'; did you mean "{near[0]}"?' if near else ""
 
 
 def refuse_unknown(table: Mapping[str, Any], known: Iterable[str], where: str) -> None:

@@ -11,11 +11,11 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from rrm.errors import RrmError
+from rrm.errors import RrmError, nearest
 from rrmctl.errors import UserError, shown
 from rrmctl.planning.cells import check_names, check_sections, configure, feedback_label
 from rrmctl.planning.grid import AXES, Row, rows_of
-from rrmctl.planning.manifest import Manifest, nearest
+from rrmctl.planning.manifest import Manifest
 from rrmctl.planning.methods import Method, method, residual
 from rrmctl.planning.needs import Config, supply
 from rrmctl.planning.profiles import profile as find_profile

@@ -8,8 +8,9 @@ from functools import cache
 from pathlib import Path
 from typing import Any, Literal
 
+from rrm.errors import nearest
 from rrmctl.errors import UserError
-from rrmctl.planning.manifest import Settings, nearest, refuse_unknown
+from rrmctl.planning.manifest import Settings, refuse_unknown
 from rrmctl.planning.toml import read_toml
 
 PATH = Path(__file__).with_name("profiles.toml")

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 
+from rrm.errors import nearest
 from rrmctl.commands import rrmctl
 from rrmctl.errors import UserError
-from rrmctl.planning.manifest import nearest
 from rrmctl.store.layout import Layout
 
 

@@ -8,9 +8,13 @@ from __future__ import annotations
 
 import ast
 import importlib
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
+
+from rrm.errors import nearest
+from rrmctl.errors import UserError
 
 
 @dataclass(frozen=True)
@@ -40,6 +44,17 @@ def entries(folder: str, package: str) -> dict[str, Entry]:
         module = ast.parse(path.read_bytes())
         found[name] = Entry(name, ast.get_docstring(module) or "", f"{package}.{path.stem}", _options(module))
     return found
+
+
+def choose(shelf: Mapping[str, Entry], name: str, kind: str) -> Entry:
+    """The entry of this name.
+
+    Raises:
+        UserError: there is none; with the nearest that there is.
+    """
+    if name not in shelf:
+        raise UserError(f'there is no {kind} "{name}"{nearest(name, shelf)}', f"there are: {', '.join(shelf)}")
+    return shelf[name]
 
 
 def _options(module: ast.Module) -> tuple[str, ...]:

@@ -9,6 +9,7 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from rrm.errors import nearest
 from rrm.files import open_regular, place, read_bounded
 from rrmctl.commands import rrmctl
 from rrmctl.errors import UserError
@@ -247,8 +248,6 @@ def find_sweeps(layout: Layout, experiment: str) -> list[SweepRecord]:
     Raises:
         UserError: none was; the message lists what is there.
     """
-    from rrmctl.planning.manifest import nearest
-
     sweeps = read_sweeps(layout, experiment)
     if not sweeps:
         known = layout.experiments()
