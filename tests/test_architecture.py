@@ -292,3 +292,23 @@ def test_arrow_starts_no_threads() -> None:
         and "use_threads" not in {keyword.arg for keyword in node.keywords}
     }  # fmt: skip
     assert calls == set()
+
+
+def test_one_idea_has_one_home() -> None:
+    """Near names are found, consoles made, and words compared with that of nothing asked, in one module each."""
+    trees = [(module, node) for module, path in MODULES.items() for node in ast.walk(ast.parse(path.read_text()))]
+    comparing = {
+        module
+        for module, node in trees
+        if isinstance(node, ast.Compare)
+        for side in (node.left, *node.comparators)
+        if "-" in (getattr(part, "value", "") for part in (side, *getattr(side, "elts", ())))
+    }
+    making = {
+        module
+        for module, node in trees
+        if isinstance(node, ast.FunctionDef) and node.returns and ast.unparse(node.returns) == "Console"
+    }
+    assert {module for module in MODULES if "difflib" in imports(module)} == {"rrm.errors"}
+    assert making == {"rrmctl.terminal"}
+    assert comparing == set()  # `rrmctl.labels` has a name for it

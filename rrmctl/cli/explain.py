@@ -8,6 +8,7 @@ import typer
 
 from rrmctl.reports.kinds import explained, kinds
 from rrmctl.reports.shelf import choose
+from rrmctl.terminal import stdout_console
 
 
 def explain(
@@ -18,11 +19,11 @@ def explain(
     """What the columns of tables mean and how their numbers are made; notes below a table say what is otherwise."""
     from rich.text import Text
 
-    from rrmctl.reports.render import console_for
+    from rrmctl.reports.render import WIDE
 
     if table is not None:
         choose(kinds(), table, "table")
-    console = console_for()
+    console = stdout_console(WIDE)
     for title, sentences in explained(table).items():
         console.print(Text(title, style="bold"))
         console.print(*map(Text, sentences), "", sep="\n")

@@ -101,8 +101,7 @@ def group_by_row(sweeps: Iterable[SweepRecord], states: Mapping[str, Status]) ->
         rates = speeds(sweep.everything, states)
         rows: defaultdict[tuple[str, ...], list[JobRecord]] = defaultdict(list)
         for job in sweep.everything:
-            words = (job.task, job.method, job.teacher, job.feedback)
-            rows[sweep.variant, *(word for word in words if word not in ("", "-"))].append(job)
+            rows[sweep.variant, *job.row.words].append(job)
         groups += [Group("  ".join(names), jobs, states, rates, "row") for names, jobs in rows.items()]
     return groups
 

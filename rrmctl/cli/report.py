@@ -17,7 +17,7 @@ from rrmctl.errors import UserError
 from rrmctl.reports.figures import figures
 from rrmctl.reports.kinds import kinds
 from rrmctl.reports.shelf import choose
-from rrmctl.terminal import spelled
+from rrmctl.terminal import spelled, stdout_console
 
 if TYPE_CHECKING:
     from rrmctl.reports.series import Section
@@ -115,7 +115,7 @@ def _table(entry: Entry) -> Callable[..., None]:
         allow_mixed: MixedOption = False,
         plus_minus: PlusMinusOption = False,
     ) -> None:
-        from rrmctl.reports.render import console_for, print_terminal, to_text
+        from rrmctl.reports.render import WIDE, print_terminal, to_text
         from rrmctl.reports.select import of_profile, read_sections
         from rrmctl.reports.settings import Settings
 
@@ -126,7 +126,7 @@ def _table(entry: Entry) -> Callable[..., None]:
         if output is not None:
             _write(output, to_text(shown, form.value).encode())
         elif form is Format.TERMINAL:
-            print_terminal(shown, console_for())
+            print_terminal(shown, stdout_console(WIDE))
         else:
             typer.echo(spelled(to_text(shown, form.value)), nl=False)
 

@@ -96,9 +96,13 @@ def job_record(job: Job) -> JobRecord:
     from rrmctl.store.sweeps import JobRecord
 
     return JobRecord(
-        id=job.id, cell=job.config.cell, task=job.task, method=job.method, teacher=job.teacher, feedback=job.feedback,
-        seed=job.seed, steps=job.config.steps, requires=job.requires,
-    )  # fmt: skip
+        id=job.id,
+        cell=job.config.cell,
+        **job.row._asdict(),
+        seed=job.seed,
+        steps=job.config.steps,
+        requires=job.requires,
+    )
 
 
 def in_words(forecast: Forecast, cores: int) -> str:

@@ -24,7 +24,7 @@ from __future__ import annotations
 import math
 import subprocess
 import sys
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
 from typing import TYPE_CHECKING
@@ -35,7 +35,7 @@ from rrmctl.errors import UserError
 if TYPE_CHECKING:
     from rrm.training.config import RunConfig
     from rrmctl.planning.needs import Config
-    from rrmctl.planning.plan import Job, Plan
+    from rrmctl.planning.plan import Plan
 
 #: (task, method, variant) -> environment steps per second, evaluation included.
 Rates = Mapping[tuple[str, str, str], float]
@@ -102,11 +102,10 @@ def estimate(plan: Plan, rates: Rates, gemm: float | None = None) -> Estimate:
             seconds[job.id] = _START_S + job.config.steps / rate
             measured.add(job.id)
             continue
-        cell = (job.task, job.method, job.teacher, job.feedback)  # seeds cost the same
-        if cell not in modelled:
+        if job.row not in modelled:  # seeds cost the same
             gemm = measure_gemm() if gemm is None else gemm
-            modelled[cell] = model_seconds(job.config, gemm)
-        seconds[job.id] = modelled[cell]
+            modelled[job.row] = model_seconds(job.config, gemm)
+        seconds[job.id] = modelled[job.row]
     return Estimate(seconds, frozenset(measured))
 
 
@@ -184,8 +183,3 @@ def _imitation_seconds(config: RunConfig, gemm: float) -> float:
 
 def _weights(inputs: int, hidden: int, layers: int, outputs: int) -> int:
     return inputs * hidden + (layers - 1) * hidden * hidden + hidden * outputs
-
-
-def slowest(jobs: Iterable[Job], cost: Estimate) -> float:
-    """Seconds of the longest job: no number of workers makes the sweep shorter."""
-    return max((cost.seconds[job.id] for job in jobs), default=0.0)

@@ -24,8 +24,7 @@ from pydantic import (
     field_validator,
 )
 
-from rrm.errors import nearest
-from rrmctl.errors import UserError, shown
+from rrmctl.errors import UserError, check_known, shown
 from rrmctl.planning.toml import read_toml
 
 #: Settings of a run, as nested tables with the keys of `rrm.training.config.RunConfig`.
@@ -141,10 +140,8 @@ _KEYS = {"title", "reproduces", "rule", "closing", "default_profile", "seeds", "
 
 def refuse_unknown(table: Mapping[str, Any], known: Iterable[str], where: str) -> None:
     """Raise `UserError` for the first key of `table` that is not known, with the nearest one that is."""
-    names = sorted(known)
     for key in table:
-        if key not in names:
-            raise UserError(f'{where}: unknown key "{key}"{nearest(key, names)}', f"known keys: {', '.join(names)}")
+        check_known(key, sorted(known), f'{where}: unknown key "{key}"', "known keys")
 
 
 def load(path: Path) -> Manifest:

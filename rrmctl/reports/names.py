@@ -6,7 +6,7 @@ from collections.abc import Iterable, Sequence
 
 from rrm.errors import nearest
 from rrmctl.commands import rrmctl
-from rrmctl.errors import UserError
+from rrmctl.errors import UserError, check_known
 from rrmctl.store.layout import Layout
 
 
@@ -37,6 +37,5 @@ def check_profile(profile: str | None, present: Iterable[str]) -> None:
         UserError: with the nearest that there is.
     """
     known = sorted(set(present))
-    if profile is not None and profile not in known:
-        near = nearest(profile, known)
-        raise UserError(f'no runs of profile "{profile}"{near}', f"there are runs of: {', '.join(known)}")
+    if profile is not None:
+        check_known(profile, known, f'no runs of profile "{profile}"', "there are runs of")

@@ -13,8 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
 
-from rrm.errors import nearest
-from rrmctl.errors import UserError
+from rrmctl.errors import check_known
 
 
 @dataclass(frozen=True)
@@ -52,8 +51,7 @@ def choose(shelf: Mapping[str, Entry], name: str, kind: str) -> Entry:
     Raises:
         UserError: there is none; with the nearest that there is.
     """
-    if name not in shelf:
-        raise UserError(f'there is no {kind} "{name}"{nearest(name, shelf)}', f"there are: {', '.join(shelf)}")
+    check_known(name, shelf, f'there is no {kind} "{name}"', "there are")
     return shelf[name]
 
 

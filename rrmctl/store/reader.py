@@ -282,7 +282,7 @@ def _ids(layout: Layout) -> str:
 
 def _planned_row(sweep: SweepRecord, job: JobRecord, status: Status) -> tuple[Any, ...]:
     overrides = json.dumps(sweep.overrides, sort_keys=True)
-    labels = (job.task, job.method, job.teacher, job.feedback, job.seed, job.id, job.cell)
+    labels = (*job.row, job.seed, job.id, job.cell)
     progress = (str(status.state), status.attempt, status.step, job.steps, str(status.error or ""))
     return (sweep.experiment, sweep.variant, sweep.profile, overrides, *labels, *progress)
 

@@ -8,6 +8,7 @@ from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING
 
 from rrmctl.commands import run_commands
+from rrmctl.labels import NOTHING_ASKED
 from rrmctl.reports.accounts import GROUP, common_settings, differing_settings, makings, spending, total
 from rrmctl.reports.page.html import Html, element, joined
 from rrmctl.reports.page.tables import Column, of_rows
@@ -48,15 +49,14 @@ def failures(runs: Sequence[Run]) -> Html:
         if run.plan["state"] in TROUBLE:
             found.setdefault(run.plan["error"] or "no reason was recorded", []).append(run)
     items = [
-        element("li", element("pre", reason), element("p", "; ".join(f"{_label(run)} ({run.id})" for run in stopped)))
+        element(
+            "li",
+            element("pre", reason),
+            element("p", "; ".join(f"{run.label} ({run.id})" for run in stopped)),
+        )
         for reason, stopped in sorted(found.items(), key=lambda item: -len(item[1]))
     ]
     return element("ul", *items) if items else Html()
-
-
-def _label(run: Run) -> str:
-    asked = [run.plan[name] for name in ("teacher", "feedback") if run.plan[name] not in ("", "-")]
-    return " ".join([run.plan["task"], run.plan["method"], *asked, f"seed {run.plan['seed']}"])
 
 
 def _spent(runs: Sequence[Run], needed: Sequence[Run]) -> Html:
@@ -121,7 +121,7 @@ def _turned(differing: pd.DataFrame) -> pd.DataFrame:
     labels = differing[[name for name in GROUP if differing[name].nunique() > 1]]
     turned = differing.drop(columns=list(GROUP)).T
     told = labels.itertuples(index=False, name=None)
-    turned.columns = [" ".join(name for name in label if name != "-") for label in told]
+    turned.columns = [" ".join(name for name in label if name != NOTHING_ASKED) for label in told]
     return turned.rename_axis("Setting").reset_index()
 
 
