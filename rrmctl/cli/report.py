@@ -181,7 +181,8 @@ def plot(
     from rrmctl.reports.select import of_profile, read_sections
     from rrmctl.reports.settings import Settings
 
-    drawn = {figure: entry.load() for figure, entry in _chosen(wanted).items()}
+    known = figures()
+    drawn = {figure: choose(known, figure, "figure").load() for figure in wanted or known}
     settings = Settings(kind=kind.value, replicates=replicates, width=width.value)
     found = read_sections(results, _stem(name), allow_mixed=allow_mixed)
     for section in _with_runs(of_profile(found, profile)):
@@ -215,16 +216,6 @@ def _with_runs(sections: Sequence[Section]) -> list[Section]:
         if not section.contained:
             tell(f"note: {section.experiment}, profile {section.profile}: no run to draw yet", err=True)
     return [section for section in sections if section.contained]
-
-
-def _chosen(wanted: Sequence[str] | None) -> dict[str, Entry]:
-    """The figures of these names, or all.
-
-    Raises:
-        UserError: there is no figure of a name.
-    """
-    known = figures()
-    return {name: choose(known, name, "figure") for name in wanted or known}
 
 
 def _figure_name(section: Section, figure: str, width: Across) -> str:

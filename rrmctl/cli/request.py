@@ -96,13 +96,9 @@ def job_record(job: Job) -> JobRecord:
     from rrmctl.store.sweeps import JobRecord
 
     return JobRecord(
-        id=job.id,
-        cell=job.config.cell,
-        **job.row._asdict(),
-        seed=job.seed,
-        steps=job.config.steps,
+        id=job.id, cell=job.config.cell, **job.row._asdict(), seed=job.seed, steps=job.config.steps,
         requires=job.requires,
-    )
+    )  # fmt: skip
 
 
 def in_words(forecast: Forecast, cores: int) -> str:

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from rrm.errors import nearest
 from rrm.files import place
-from rrmctl.errors import UserError
+from rrmctl.errors import UserError, check_known
 
 _BUILT = Path(__file__).resolve().parents[1] / "experiments"
 #: The manifests that come with the program: in a built package within it, in the repository beside it.
@@ -46,8 +45,7 @@ def find(name: str, folder: Path | None) -> Path:
             raise UserError(f"there is no file {name}")
         return path
     found = available(folder)
-    if name not in found:
-        if name and path.is_dir():
-            raise UserError(f"{name} is a folder", "name an experiment of `rrmctl list`, or one manifest (*.toml)")
-        raise UserError(f'no experiment "{name}"{nearest(name, found)}', f"known: {', '.join(found)}")
+    if name and name not in found and path.is_dir():
+        raise UserError(f"{name} is a folder", "name an experiment of `rrmctl list`, or one manifest (*.toml)")
+    check_known(name, found, f'no experiment "{name}"')
     return found[name]
