@@ -250,13 +250,19 @@ def find_sweeps(layout: Layout, experiment: str) -> list[SweepRecord]:
     """
     sweeps = read_sweeps(layout, experiment)
     if not sweeps:
-        known = layout.experiments()
-        raise UserError(
-            f"{layout.root} holds no runs of {experiment!r}; it holds: {', '.join(known) or 'nothing yet'}"
-            f"{nearest(experiment, known)}",
-            "`rrmctl list` names what there is to run; or name another folder with --results",
-        )
+        raise never_run(layout, experiment)
     return sweeps
+
+
+def never_run(layout: Layout, *experiments: str) -> UserError:
+    """What to say where the store holds no run of the first of these, or none at all."""
+    known = layout.experiments()
+    if not known:
+        start = rrmctl("run", "quickstart", results=layout.root)
+        return UserError(f"{layout.root} holds no experiment yet", f"start one, e.g. `{start}`")
+    near = nearest(experiments[0], known)
+    start = "" if near else "; `rrmctl list` names what there is to run"
+    return UserError(f'{layout.root} holds no runs of "{experiments[0]}"{near}', f"it holds: {', '.join(known)}{start}")
 
 
 def find_run(layout: Layout, prefix: str) -> RunFolder:
