@@ -19,14 +19,12 @@ if TYPE_CHECKING:
     import gymnasium
     from torch import Tensor
 
-    from rrm.types import Batch, Segments, State
+    from rrm.types import Batch, Floats, Segments, State
 
 __all__ = [
-    "Agent", "Answer", "CriticAgent", "Env", "Feedback", "Floats", "Needs", "Query", "RewardFunction", "RewardLearner",
+    "Agent", "Answer", "CriticAgent", "Env", "Feedback", "Needs", "Query", "RewardFunction", "RewardLearner",
     "SegmentRef", "Stateful", "StochasticAgent", "Teacher", "TrueRewards",
 ]  # fmt: skip
-
-Floats = npt.NDArray[np.float32]
 
 
 class Stateful(Protocol):

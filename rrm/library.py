@@ -18,14 +18,14 @@ from rrm.config import EvaluationConfig
 from rrm.envs import make
 from rrm.errors import ConfigError
 from rrm.files import make_folder, place, read_bounded, write_atomically
-from rrm.interfaces import Agent, Env, Floats, RewardFunction
+from rrm.interfaces import Agent, Env, RewardFunction
 from rrm.seeding import Streams
 from rrm.training.build import build_agent, build_prior, build_reward
 from rrm.training.collect import PriorSource
 from rrm.training.config import RunConfig
 from rrm.training.evaluate import evaluate
 from rrm.training.jobs import train as train_job
-from rrm.types import EvalRow, Evaluation, State
+from rrm.types import EvalRow, Evaluation, Floats, State
 
 _LARGEST_CONFIG = 1_000_000  # bytes
 

@@ -8,10 +8,13 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+import numpy as np
+import numpy.typing as npt
+
 if TYPE_CHECKING:
-    import numpy as np
-    import numpy.typing as npt
     from torch import Tensor
+
+Floats = npt.NDArray[np.float32]
 
 #: What `state_dict` returns: nested dicts and lists of tensors, numpy arrays and JSON values. No other objects, so that
 #: a checkpoint can be written without a pickle.
@@ -40,9 +43,9 @@ class Segments(NamedTuple):
 class Transition(NamedTuple):
     """One environment step as it was lived. Sources of rewards see it; agents and learners see batches."""
 
-    obs: npt.NDArray[np.float32]  #: [O]
-    act: npt.NDArray[np.float32]  #: [A], in [-1, 1]
-    next_obs: npt.NDArray[np.float32]  #: [O]
+    obs: Floats  #: [O]
+    act: Floats  #: [A], in [-1, 1]
+    next_obs: Floats  #: [O]
     prior: float  #: scaled, r0; 0 without a prior
     raw_prior: float
     true_reward: float

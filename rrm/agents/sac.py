@@ -25,10 +25,9 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from rrm.config import AgentConfig
-    from rrm.interfaces import Floats
     from rrm.precision import Precision
     from rrm.seeding import Streams
-    from rrm.types import Batch, State
+    from rrm.types import Batch, Floats, State
 
 _LARGEST = 1 - 1e-6  #: of an action whose density is asked for; float32's tanh rounds to one, where atanh is infinite
 

@@ -23,8 +23,7 @@ from rrm.buffers.columns import Columns
 from rrm.types import Batch, Segments, Transition
 
 if TYPE_CHECKING:
-    from rrm.interfaces import Floats
-    from rrm.types import State
+    from rrm.types import Floats, State
 
 #: What a row is; _END is the observation behind an episode's last step.
 _STEP, _TERMINATED, _TRUNCATED, _END = range(4)

@@ -18,7 +18,8 @@ if TYPE_CHECKING:
     import numpy as np
     import numpy.typing as npt
 
-    from rrm.interfaces import Env, Floats
+    from rrm.interfaces import Env
+    from rrm.types import Floats
 
 Score = Literal["success", "return"]
 

@@ -17,7 +17,7 @@ from rrm.envs.tasks import Task
 from rrm.errors import PriorError
 
 if TYPE_CHECKING:
-    from rrm.interfaces import Floats
+    from rrm.types import Floats
 
 Position = npt.NDArray[np.float64]
 

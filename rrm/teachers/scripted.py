@@ -16,7 +16,8 @@ import numpy as np
 import numpy.typing as npt
 
 from rrm.buffers.preferences import EQUAL, SKIPPED, Preference
-from rrm.interfaces import Answer, Floats, Query, TrueRewards
+from rrm.interfaces import Answer, Query, TrueRewards
+from rrm.types import Floats
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -8,11 +8,10 @@ from typing import Any
 import numpy as np
 
 from rrm.envs import Task
-from rrm.interfaces import Floats
 from rrm.priors import evaluate_prior
 from rrm.priors.scale import Normaliser
 from rrm.priors.step import PriorStep, Scene
-from rrm.types import State
+from rrm.types import Floats, State
 
 
 class PriorSource:

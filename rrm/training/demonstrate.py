@@ -13,10 +13,11 @@ from rrm.checkpoint import again, read_networks
 from rrm.envs import make
 from rrm.errors import DemosError, MissingResultError
 from rrm.imitation.demos import Demonstrations
-from rrm.interfaces import Env, Floats
+from rrm.interfaces import Env
 from rrm.seeding import Streams
 from rrm.training.build import build_agent
 from rrm.training.config import RunConfig
+from rrm.types import Floats
 
 Policy = Callable[[Floats], Floats]
 

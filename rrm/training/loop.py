@@ -16,7 +16,6 @@ import numpy as np
 
 from rrm.envs import make
 from rrm.errors import NumericalError, WaitingError
-from rrm.interfaces import Floats
 from rrm.nets.precision import check_precision
 from rrm.seeding import Streams, evaluation_seed
 from rrm.sources.base import RewardSource
@@ -24,7 +23,7 @@ from rrm.training.build import Assembled, Results, assemble
 from rrm.training.config import RunConfig
 from rrm.training.evaluate import evaluate
 from rrm.training.phases import Phase, phase_at
-from rrm.types import EvalRow, State, Transition
+from rrm.types import EvalRow, Floats, State, Transition
 
 _NAN = float("nan")
 

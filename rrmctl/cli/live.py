@@ -97,8 +97,8 @@ class Lines:
         if error.kind in (ErrorKind.REFUSED, ErrorKind.STORAGE, ErrorKind.MISSING):
             return  # the message says it all
         for line in log_tail(folder):
-            self.console.print(f"    {line}", style="dim", markup=False, highlight=False, soft_wrap=True)
-        self.console.print(f"    log: {folder.log}", style="dim", markup=False, highlight=False, soft_wrap=True)
+            self.console.print(f"    {line}", style="dim", soft_wrap=True)
+        self.console.print(f"    log: {folder.log}", style="dim", soft_wrap=True)
 
 
 class Bars(Lines):

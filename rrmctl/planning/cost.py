@@ -22,11 +22,9 @@ The constants were fitted on one machine; the result is good to about a factor o
 from __future__ import annotations
 
 import math
-import statistics
 import subprocess
 import sys
-from collections import defaultdict
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
 from typing import TYPE_CHECKING
@@ -37,9 +35,7 @@ from rrmctl.errors import UserError
 if TYPE_CHECKING:
     from rrm.training.config import RunConfig
     from rrmctl.planning.needs import Config
-    from rrmctl.planning.plan import Job, Plan
-    from rrmctl.store.layout import Layout
-    from rrmctl.store.records import Status
+    from rrmctl.planning.plan import Plan
 
 #: (task, method, variant) -> environment steps per second, evaluation included.
 Rates = Mapping[tuple[str, str, str], float]
@@ -94,7 +90,7 @@ def estimate(plan: Plan, rates: Rates, gemm: float | None = None) -> Estimate:
     """The cost of a plan.
 
     Args:
-        rates: speeds of stored runs; see `stored_rates`.
+        rates: speeds of stored runs; see `rrmctl.store.speeds`.
         gemm: floating-point operations per second of one core; None measures it if it is needed.
     """
     seconds: dict[str, float] = {}
@@ -106,35 +102,11 @@ def estimate(plan: Plan, rates: Rates, gemm: float | None = None) -> Estimate:
             seconds[job.id] = _START_S + job.config.steps / rate
             measured.add(job.id)
             continue
-        cell = (job.task, job.method, job.teacher, job.feedback)  # seeds cost the same
-        if cell not in modelled:
+        if job.row not in modelled:  # seeds cost the same
             gemm = measure_gemm() if gemm is None else gemm
-            modelled[cell] = model_seconds(job.config, gemm)
-        seconds[job.id] = modelled[cell]
+            modelled[job.row] = model_seconds(job.config, gemm)
+        seconds[job.id] = modelled[job.row]
     return Estimate(seconds, frozenset(measured))
-
-
-def stored_rates(layout: Layout, known: Mapping[str, Status] | None = None) -> dict[tuple[str, str, str], float]:
-    """The median speed of the store's runs, by task, method and variant.
-
-    Args:
-        known: where some of the runs stand, by id, as read already.
-    """
-    from rrmctl.store.reader import statuses
-    from rrmctl.store.records import State
-    from rrmctl.store.sweeps import readable_sweeps
-
-    states = dict(known or {})
-    speeds: dict[tuple[str, str, str], list[float]] = defaultdict(list)
-    for sweep in readable_sweeps(layout)[0]:
-        states |= statuses(layout, (job for job in sweep.everything if job.id not in states))
-        for job in sweep.everything:
-            status = states[job.id]
-            if status.state is State.DONE and status.wall_s:
-                speeds[job.task, job.method, sweep.variant].append(status.step / status.wall_s)
-            elif status.steps_per_s:
-                speeds[job.task, job.method, sweep.variant].append(status.steps_per_s)
-    return {key: statistics.median(values) for key, values in speeds.items() if statistics.median(values) > 0}
 
 
 @cache
@@ -211,8 +183,3 @@ def _imitation_seconds(config: RunConfig, gemm: float) -> float:
 
 def _weights(inputs: int, hidden: int, layers: int, outputs: int) -> int:
     return inputs * hidden + (layers - 1) * hidden * hidden + hidden * outputs
-
-
-def slowest(jobs: Iterable[Job], cost: Estimate) -> float:
-    """Seconds of the longest job: no number of workers makes the sweep shorter."""
-    return max((cost.seconds[job.id] for job in jobs), default=0.0)

@@ -8,14 +8,14 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from rrm.config import KINDS, KNOWN, LEARNED, PRIOR_ALONE
-from rrm.errors import ConfigError
+from rrm.errors import ConfigError, nearest
 from rrm.files import place
 from rrm.priors import PRIORS
 from rrm.priors.language import is_frozen
 from rrm.registry import check_file, is_file_reference
 from rrm.rewards import LEARNERS
 from rrmctl.errors import UserError
-from rrmctl.planning.manifest import MethodTable, Settings, nearest
+from rrmctl.planning.manifest import MethodTable, Settings
 from rrmctl.planning.profiles import Kind
 
 #: The learner that a residual method's name leaves out.

@@ -14,11 +14,11 @@ from pydantic import BaseModel, TypeAdapter, ValidationError
 from pydantic.fields import FieldInfo
 
 from rrm.config import RewardConfig
-from rrm.errors import RrmError
+from rrm.errors import RrmError, nearest
 from rrm.toml import NestingError, loads
 from rrm.training.config import CONFIG_VERSION, RunConfig
 from rrmctl.errors import UserError, shown
-from rrmctl.planning.manifest import Settings, nearest
+from rrmctl.planning.manifest import Settings
 from rrmctl.planning.profiles import Layer
 from rrmctl.planning.toml import refuse_odd
 

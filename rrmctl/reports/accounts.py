@@ -7,6 +7,7 @@ from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
+from rrmctl.labels import Label
 from rrmctl.store.frame import NUMBER, TEXT, WHOLE, frame
 from rrmctl.store.inventory import Run, settings
 
@@ -14,7 +15,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
 #: What tells the rows of a variant from one another.
-GROUP = ("task", "method", "teacher", "feedback")
+GROUP = Label._fields
 
 #: Of a configuration, what says which run it is rather than how it runs.
 _IDENTITY = ("id", "cell", "seed", "task", "method", "profile")

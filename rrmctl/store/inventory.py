@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from rrmctl.labels import Label
 from rrmctl.store.frame import MAYBE_WHOLE, NUMBER, TEXT, frame
 from rrmctl.store.layout import RunFolder
 from rrmctl.store.provenance import read_provenance
@@ -40,6 +41,16 @@ class Run:
     def id(self) -> str:
         """Sixteen hexadecimal digits."""
         return str(self.plan["run"])
+
+    @property
+    def row(self) -> Label:
+        """What it is called, whatever its seed."""
+        return Label(*(self.plan[name] for name in Label._fields))
+
+    @property
+    def label(self) -> str:
+        """For people, with its seed."""
+        return self.row.seeded(self.plan["seed"])
 
     @property
     def labels(self) -> dict[str, Any]:

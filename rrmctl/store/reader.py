@@ -9,6 +9,7 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from rrm.errors import nearest
 from rrm.files import open_regular, place, read_bounded
 from rrmctl.commands import rrmctl
 from rrmctl.errors import UserError
@@ -247,17 +248,21 @@ def find_sweeps(layout: Layout, experiment: str) -> list[SweepRecord]:
     Raises:
         UserError: none was; the message lists what is there.
     """
-    from rrmctl.planning.manifest import nearest
-
     sweeps = read_sweeps(layout, experiment)
     if not sweeps:
-        known = layout.experiments()
-        raise UserError(
-            f"{layout.root} holds no runs of {experiment!r}; it holds: {', '.join(known) or 'nothing yet'}"
-            f"{nearest(experiment, known)}",
-            "`rrmctl list` names what there is to run; or name another folder with --results",
-        )
+        raise never_run(layout, experiment)
     return sweeps
+
+
+def never_run(layout: Layout, *experiments: str) -> UserError:
+    """What to say where the store holds no run of the first of these, or none at all."""
+    known = layout.experiments()
+    if not known:
+        start = rrmctl("run", "quickstart", results=layout.root)
+        return UserError(f"{layout.root} holds no experiment yet", f"start one, e.g. `{start}`")
+    near = nearest(experiments[0], known)
+    start = "" if near else "; `rrmctl list` names what there is to run"
+    return UserError(f'{layout.root} holds no runs of "{experiments[0]}"{near}', f"it holds: {', '.join(known)}{start}")
 
 
 def find_run(layout: Layout, prefix: str) -> RunFolder:
@@ -283,7 +288,7 @@ def _ids(layout: Layout) -> str:
 
 def _planned_row(sweep: SweepRecord, job: JobRecord, status: Status) -> tuple[Any, ...]:
     overrides = json.dumps(sweep.overrides, sort_keys=True)
-    labels = (job.task, job.method, job.teacher, job.feedback, job.seed, job.id, job.cell)
+    labels = (*job.row, job.seed, job.id, job.cell)
     progress = (str(status.state), status.attempt, status.step, job.steps, str(status.error or ""))
     return (sweep.experiment, sweep.variant, sweep.profile, overrides, *labels, *progress)
 

@@ -67,8 +67,7 @@ def write(bundle: Bundle, folder: Path) -> list[Path]:
 def run_folder(run: Run) -> Path:
     """Where a run's events are, below the folder of the export."""
     plan = run.plan
-    asked = [plan[name] for name in ("teacher", "feedback") if plan[name] not in ("", "-")]
-    method = " ".join([plan["method"], *asked])
+    method = " ".join(run.row.words[1:])
     return Path(*map(_as_name, (plan["variant"], plan["task"], method, f"seed-{plan['seed']}-{run.id[:8]}")))
 
 

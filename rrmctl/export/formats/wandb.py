@@ -58,15 +58,13 @@ def _contents(bundle: Bundle) -> Iterator[dict[str, Any]]:
     for run in bundle.begun:
         plan, start = run.plan, run.started or 0.0
         seen[run.id] += 1  # one that two labels share is there for each of them
-        asked = [str(plan[name]) for name in ("teacher", "feedback") if plan[name] not in ("", "-")]
-        group = " ".join([plan["task"], plan["method"], *asked])
         yield {
             "id": run.id if seen[run.id] == 1 else f"{run.id}-{seen[run.id]}",
             "started": start,
             "init": {
                 "project": bundle.experiment,
-                "group": f"{plan['variant']} {group}",
-                "name": f"{group} seed {plan['seed']}",
+                "group": " ".join([plan["variant"], *run.row.words]),
+                "name": run.label,
                 "job_type": plan["profile"],
                 "tags": [plan["state"]],
                 "config": {**(run.config or {}), "plan": run.labels, "provenance": run.provenance},

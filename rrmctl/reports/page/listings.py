@@ -9,6 +9,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from rrmctl.commands import run_commands
+from rrmctl.labels import NOTHING_ASKED
 from rrmctl.reports.accounts import GROUP, common_settings, differing_settings, makings, spending, total
 from rrmctl.reports.page.parts import Column, Part, Table
 from rrmctl.store.inventory import Run
@@ -72,13 +73,8 @@ def failures(runs: Sequence[Run]) -> list[tuple[str, str]]:
     found: dict[str, list[str]] = {}
     for run in {run.id: run for run in runs}.values():
         if run.plan["state"] in TROUBLE:
-            found.setdefault(run.plan["error"] or "no reason was recorded", []).append(f"{_label(run)} ({run.id})")
+            found.setdefault(run.plan["error"] or "no reason was recorded", []).append(f"{run.label} ({run.id})")
     return [(why, "; ".join(stopped)) for why, stopped in sorted(found.items(), key=lambda item: -len(item[1]))]
-
-
-def _label(run: Run) -> str:
-    asked = [run.plan[name] for name in ("teacher", "feedback") if run.plan[name] not in ("", "-")]
-    return " ".join([run.plan["task"], run.plan["method"], *asked, f"seed {run.plan['seed']}"])
 
 
 def _spent(runs: Sequence[Run]) -> Table:
@@ -107,7 +103,7 @@ def _differing(runs: Sequence[Run]) -> Table:
     if len(table) <= _FEW:
         labels = table[[name for name in GROUP if table[name].nunique() > 1]].itertuples(index=False, name=None)
         table = table.drop(columns=list(GROUP)).T
-        table.columns = [" ".join(name for name in label if name != "-") for label in labels]
+        table.columns = [" ".join(name for name in label if name != NOTHING_ASKED) for label in labels]
         table = table.rename_axis("setting").reset_index()
     return _of_texts("Settings that differ, values as JSON", table)
 

@@ -17,7 +17,6 @@ import pytest
 from typer.testing import CliRunner, Result
 
 from rrmctl.cli import introduction
-from rrmctl.cli import run as run_command
 from rrmctl.cli.app import app
 from rrmctl.cli.request import Request, forecast
 from rrmctl.store import load, planned
@@ -28,6 +27,7 @@ from rrmctl.store.records import ErrorKind, RunError, State, Status, read_status
 from rrmctl.store.schema import TIMINGS
 from rrmctl.store.sweeps import read_sweeps
 from rrmctl.store.writer import CurveWriter
+from rrmctl.terminal import console
 from tests.rrmctl.running.standin import prepare, row
 
 EXPERIMENTS = Path(__file__).parents[3] / "experiments"
@@ -109,9 +109,7 @@ def test_the_introduction_bears_profiles_that_cannot_hold_the_request(
     """`run` advises on a large sweep without stumbling over other profiles, and notes a budget too large to spend."""
     monkeypatch.setattr(introduction, "LARGE_H", 0.0)
     request = Request("toy-car", EXPERIMENTS, "smoke", overrides=["steps=450", "feedback.budget=1000000"])
-    introduction.introduce(
-        run_command._progress_console(), request, forecast(request.plan(), Layout(tmp_path)), slots=1
-    )
+    introduction.introduce(console(sys.stderr), request, forecast(request.plan(), Layout(tmp_path)), slots=1)
     said = capsys.readouterr().err
     assert "of 1,000,000 questions fit into 450 steps: toy-car pebble" in said
     assert "smaller: a part of it" in said
