@@ -174,7 +174,7 @@ def test_floors(package: str) -> None:
     wrong = [
         f"{module} imports {other}"
         for module in MODULES
-        if module.split(".")[0] == package
+        if module.split(".")[0] == package and module != package  # its front door opens into every room
         for other in ours(module, types=True)
         if other.split(".")[0] == package and room(other) != room(module)
         if floors.get(room(other), 0) >= max(floors.get(room(module), 0), 1)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import socket
 import sys
 import time
 from collections import Counter
@@ -159,6 +160,10 @@ class _View:
             hints.append(f"Why runs failed: {self._command('status', '--failed')}")
         waited = Counter(str(status.error) for status in self._states.values() if status.state == "waiting")
         hints += [f"{runs(count)} waiting for {what}" for what, count in waited.items()]
+        hosts = {status.host for status in self._states.values() if status.state == "running" and status.host}
+        if elsewhere := sorted(hosts - {socket.gethostname()}):
+            after = f"should one be gone, this takes its runs over after 30 s of silence: {self._command('resume')}"
+            hints.append(f"Running on {', '.join(elsewhere)}; {after}")
         jobs = [job for job in self.total.jobs if self._states[job.id].state not in OVER]
         gone = unconfigured(self._layout, jobs)
         if not self.total.counts["running"] and len(jobs) > len(gone):

@@ -18,9 +18,9 @@ from typing import Any, Protocol
 from rrmctl.errors import Exit, UserError
 from rrmctl.running.executor import Ended, Evaluated, Event, Executor, Note, Progress, Started, WorkOrder
 from rrmctl.running.scheduler import Ending, Outcome, Phase, Scheduler
-from rrmctl.store.atomic import StorageError, is_locked
+from rrmctl.store.atomic import StorageError
 from rrmctl.store.layout import Layout
-from rrmctl.store.lease import LEASE_S, Beat, Watch
+from rrmctl.store.owner import LEASE_S, Beat, Watch, is_owned
 from rrmctl.store.reader import blocked_by, run_status
 from rrmctl.store.records import ErrorKind, RunError, State, Status, record_failure
 from rrmctl.waking import WakingTime
@@ -174,13 +174,13 @@ class Pool:
             settled = _settled(self._jobs[job], run_status(folder))
             if settled is not None:
                 self._conclude(job, settled)
-            elif is_locked(folder.lock):
+            elif is_owned(folder):
                 self._take_over(job)
             else:
                 self.scheduler.free(job)
 
     def _take_over(self, job: str) -> None:
-        """Queue a run whose owner holds it and gives no sign of life any more: each time that a lease has passed."""
+        """Queue a run whose owner gives no sign of life any more: each time that a lease has passed."""
         beat = self._watch.expired(self.layout.run(job))
         if beat is not None:
             self.watcher.note(job, f"its owner gave no sign of life for {self.lease_s:g} s; trying to take it over")

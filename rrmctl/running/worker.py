@@ -28,7 +28,8 @@ from rrmctl.running.monitor import RunMonitor
 from rrmctl.running.runfile import MissingFileError, load_config
 from rrmctl.store import atomic, provenance
 from rrmctl.store.layout import Layout, RunFolder
-from rrmctl.store.lease import Beat, Lease, LeaseLostError
+from rrmctl.store.lease import Lease, LeaseLostError
+from rrmctl.store.owner import Beat
 from rrmctl.store.reader import read_config
 from rrmctl.store.records import ErrorKind, RunError, State, Status, read_status, write_status
 from rrmctl.store.schema import IDENTITY

@@ -14,10 +14,11 @@ from rrm.files import open_regular, place, read_bounded
 from rrmctl.commands import rrmctl
 from rrmctl.errors import UserError
 from rrmctl.store import shape
-from rrmctl.store.atomic import DamagedError, StorageError, is_locked, read_json, unreadable
+from rrmctl.store.atomic import DamagedError, StorageError, read_json, unreadable
 from rrmctl.store.curve import LARGEST, decode, rerunning
 from rrmctl.store.frame import TEXT, WHOLE, frame, typed
 from rrmctl.store.layout import Layout, RunFolder
+from rrmctl.store.owner import is_owned
 from rrmctl.store.records import ErrorKind, RunError, State, Status, read_status
 from rrmctl.store.schema import IDENTITY, LABELS, curve_schema
 from rrmctl.store.sweeps import JobRecord, Requiring, SweepRecord, read_sweeps
@@ -28,7 +29,7 @@ if TYPE_CHECKING:
 
 
 def run_status(folder: RunFolder) -> Status:
-    """Where the run stands now: one that says it is running while nobody holds its lock is interrupted.
+    """Where the run stands now: one that says it is running while nobody owns it is interrupted.
 
     A status file that is damaged, or cannot be read now, gives the state `unreadable` with the reason.
 
@@ -37,7 +38,7 @@ def run_status(folder: RunFolder) -> Status:
     """
     try:
         status = read_status(folder)
-        if status.state is State.RUNNING and not is_locked(folder.lock):
+        if status.state is State.RUNNING and not is_owned(folder):
             return dataclasses.replace(status, state=State.INTERRUPTED)
     except (DamagedError, StorageError) as error:
         problem = RunError(kind=ErrorKind.STORAGE, type=type(error).__name__, message=str(error))

@@ -17,10 +17,10 @@ from rrmctl.store.atomic import (
     DamagedError,
     read_json,
     set_aside,
-    try_lock,
     write_json,
 )
 from rrmctl.store.layout import RunFolder
+from rrmctl.store.owner import lock_free
 from rrmctl.store.schema import SCHEMA_VERSION
 
 
@@ -159,7 +159,7 @@ def record_failure(folder: RunFolder, error: RunError) -> None:
         StorageError: the folder takes no write.
         DamagedError, VersionError: its status is damaged, or of another version.
     """
-    lock = None if error.kind is ErrorKind.DAMAGED else try_lock(folder.lock, PATIENCE_S)
+    lock = None if error.kind is ErrorKind.DAMAGED else lock_free(folder, PATIENCE_S)
     if lock is None:
         return
     try:
