@@ -180,7 +180,7 @@ def count(folders: list[RunFolder]) -> int:
 
 def test_a_parent_that_was_stopped_with_its_worker_does_not_blame_it(tmp_path: Path) -> None:
     """Both stand still for longer than a hang takes, and the parent wakes first: the attempt goes on."""
-    script = PARENT.replace("lease_s=lease_s", "hang_after_s=15.0")
+    script = PARENT.replace("command=COMMAND)", "command=COMMAND, hang_after_s=15.0)")
     layout, assigned = prepare(tmp_path, range(1), 3000)
     folder = layout.run(assigned[0].id)
     command = [sys.executable, "-c", script, str(tmp_path), "1", "1", "3000", "30"]
