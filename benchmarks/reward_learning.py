@@ -19,6 +19,7 @@ from rrm.nets.precision import rounds
 from rrm.precision import Precision
 from rrm.rewards.pebble import Pebble
 from rrm.rewards.residual import ResidualReward
+from rrm.types import Transition
 
 ROWS, EPISODE = 500_000, 500
 LABELS, SEGMENT = 640, 50
@@ -68,14 +69,13 @@ def _flop_per_row() -> tuple[float, float]:
 def _lived() -> Experience:
     """Random transitions in episodes of Meta-World's length."""
     rng = np.random.default_rng(0)
-    experience = Experience(ROWS, OBS, ACT)
+    experience = Experience(ROWS, EPISODE, OBS, ACT)
     obs = rng.standard_normal((1000, OBS), np.float32)
     act = rng.uniform(-1, 1, (1000, ACT)).astype(np.float32)
     for step in range(ROWS):
-        experience.append(
-            obs=obs[step % 1000], act=act[step % 1000], prior=0.0, raw_prior=0.0, reward=0.0, true_reward=0.0,
-            next_obs=obs[(step + 1) % 1000], terminated=False, truncated=step % EPISODE == EPISODE - 1,
-        )  # fmt: skip
+        ends = step % EPISODE == EPISODE - 1
+        lived = Transition(obs[step % 1000], act[step % 1000], obs[(step + 1) % 1000], 0.0, 0.0, 0.0, False, ends)
+        experience.append(lived, 0.0)
     return experience
 
 
@@ -83,5 +83,5 @@ def _labelled(experience: Experience) -> StoredFeedback:
     rng = np.random.default_rng(1)
     starts = np.array([episode.start for episode in experience.episodes])
     preferences = Preferences(LABELS, SEGMENT)
-    preferences.add(rng.choice(starts, (LABELS, 2)), rng.integers(0, 2, LABELS).astype(np.int8))
+    preferences.add(rng.choice(starts, (LABELS, 2)), rng.integers(0, 2, LABELS).astype(np.float32))
     return StoredFeedback(experience, preferences, PairRing(1, SEGMENT), LABELS)

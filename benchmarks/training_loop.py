@@ -26,8 +26,10 @@ from rrm.checkpoint import Checkpoints
 from rrm.config import RewardConfig
 from rrm.nets.precision import rounds
 from rrm.precision import Precision
+from rrm.sources.preferences import PreferenceReward
 from rrm.training.config import RunConfig
 from rrm.training.loop import Trainer
+from rrm.types import Transition
 
 TASK, STEPS, EVERY, LABELS = "button-press", 500_000, 5_000, 2_500
 REAL_STEPS = 5_000
@@ -48,12 +50,12 @@ def lines() -> Iterator[Line]:
 def _loop(precision: Precision) -> Iterator[Line]:
     trainer = mid_run(STEPS, STEPS // 2, precision)
     session_s = _session_seconds(trainer)
-    batch = trainer.experience.sample(trainer.config.agent.batch, trainer.streams.torch("replay"))
+    batch = _preferences(trainer).batch(trainer.agent)
     step_s, update_s = in_turns(trainer.advance, lambda: trainer.agent.update(batch), turns=7, budget=1.0)
     act = np.zeros(4, np.float32)
     simulate_s = _median_of(lambda: _simulate(trainer, act), 200)
     append_s = _median_of(lambda: _append(trainer, act), 200)
-    sample_s = _median_of(lambda: trainer.experience.sample(len(batch.obs), trainer.streams.torch("replay")), 200)
+    sample_s = _median_of(lambda: _preferences(trainer).batch(trainer.agent), 200)
     whole_s = step_s + session_s / EVERY
     yield Line(
         item=f"PEBBLE loop, {precision}", ours=1 / whole_s, unit="/s", floor=1 / update_s,
@@ -85,16 +87,15 @@ def mid_run(steps: int, transitions: int, precision: Precision, folder: Path | N
     count = real.transitions
     for step in range(count, transitions):
         row = int(real._row_of[step % count])
-        real.append(
+        again = Transition(
             obs=real.obs[row].numpy(), act=real.act[row].numpy(), prior=float(real.prior[row]), raw_prior=0.0,
-            reward=0.0, true_reward=float(real.true_reward[row]), next_obs=real.obs[row + 1].numpy(),
+            true_reward=float(real.true_reward[row]), next_obs=real.obs[row + 1].numpy(),
             terminated=False, truncated=step % 500 == 499,
         )  # fmt: skip
+        real.append(again, 0.0)
         if folder is not None and step % EVERY == 0:
             real.save(folder)
-    sessions = trainer.sessions
-    assert sessions is not None
-    while sessions.requested < LABELS:
+    while _preferences(trainer).queries < LABELS:
         _label_only(trainer, 500)
     trainer.step = config.first_session + EVERY * (transitions // EVERY)
     return trainer
@@ -104,26 +105,36 @@ def _label_only(trainer: Trainer, count: int) -> None:
     """Labels without the training that goes with them."""
     from rrm.queries import uniform_pairs
 
-    sessions, experience = trainer.sessions, trainer.experience
-    assert sessions is not None
-    length = trainer.config.feedback.segment if trainer.config.feedback else 0
-    pairs = uniform_pairs(experience.episodes, length, count, np.random.default_rng(sessions.requested))
-    labels = sessions.teacher.label((
-        experience.true_rewards(pairs[:, 0], length), experience.true_rewards(pairs[:, 1], length)
-    ))  # fmt: skip
-    sessions.preferences.add(pairs, labels)
-    sessions.requested += count
-    sessions.labelled += count
+    source, experience = _preferences(trainer), trainer.experience
+    assert trainer.config.feedback is not None
+    length = trainer.config.feedback.segment
+    pairs = uniform_pairs(experience.episodes, length, count, np.random.default_rng(source.queries))
+    source.teacher.ask(source.journal.ask(experience, pairs, length, 0))
+    assert source.waiting() is None
+    source.preferences.add(*source.journal.apply(0))
 
 
 def _session_seconds(trainer: Trainer) -> float:
     """The third of three sessions: the reward has learned the older labels by then, as it has in a run."""
-    assert trainer.sessions is not None
-    for _ in range(3):
+    for number in range(3):
         start = time.process_time()
-        trainer.sessions.hold(trainer.step)
+        _hold(trainer, trainer.step + number * EVERY)
         seconds = time.process_time() - start
     return seconds
+
+
+def _preferences(trainer: Trainer) -> PreferenceReward:
+    source = trainer.sources["preferences"]
+    assert isinstance(source, PreferenceReward)
+    return source
+
+
+def _hold(trainer: Trainer, step: int) -> None:
+    """The session that is due before this step."""
+    source = _preferences(trainer)
+    source.ask(step)
+    assert source.waiting() is None
+    source.attend(step, trainer.agent)
 
 
 def _simulate(trainer: Trainer, act: np.ndarray) -> None:
@@ -132,10 +143,7 @@ def _simulate(trainer: Trainer, act: np.ndarray) -> None:
 
 
 def _append(trainer: Trainer, act: np.ndarray) -> None:
-    trainer.experience.append(
-        obs=trainer._obs, act=act, prior=0.0, raw_prior=0.0, reward=0.0, true_reward=0.0, next_obs=trainer._obs,
-        terminated=False, truncated=False,
-    )  # fmt: skip
+    trainer.experience.append(Transition(trainer._obs, act, trainer._obs, 0.0, 0.0, 0.0, False, False), 0.0)
 
 
 def _median_of(work: Callable[[], object], calls: int) -> float:
@@ -149,7 +157,6 @@ def _median_of(work: Callable[[], object], calls: int) -> float:
 
 def _checkpoint_seconds(trainer: Trainer, steps: int) -> float:
     """A checkpoint after as many steps as the interval holds, with a relabelling among them."""
-    assert trainer.sessions is not None
     with tempfile.TemporaryDirectory() as name:
         checkpoints = Checkpoints(Path(name))
         checkpoints.save(trainer.step, trainer.save(checkpoints.folder))
@@ -157,7 +164,7 @@ def _checkpoint_seconds(trainer: Trainer, steps: int) -> float:
         for _ in range(3):
             for _ in range(steps):
                 _append(trainer, np.zeros(4, np.float32))
-            trainer.sessions.relabel()
+            _preferences(trainer).relabel()
             trainer.step += steps
             start = time.perf_counter()
             checkpoints.save(trainer.step, trainer.save(checkpoints.folder))
@@ -185,8 +192,7 @@ def _memory() -> float:
         checkpoints = Checkpoints(Path(name))
         trainer = mid_run(_MEMORY_STEPS, _MEMORY_STEPS - 10_000, "float32", checkpoints.folder)
         trainer.advance()
-        assert trainer.sessions is not None
-        trainer.sessions.hold(trainer.step)
+        _hold(trainer, trainer.step + EVERY - trainer.step % EVERY)
         checkpoints.save(trainer.step, trainer.save(checkpoints.folder))
         config = trainer.config
         trainer.close()

@@ -24,7 +24,7 @@ from rrm.files import UnfitFileError, naming, read_bounded, sync_folder, write_a
 from rrm.types import State
 
 #: Of the layout written here; another version is refused with its number.
-FORMAT = 2
+FORMAT = 3
 KEPT = 2  #: newest checkpoints that stay
 _TREE = "tree"  # entry of the header
 _LARGEST_MARKER = 1 << 16  # bytes

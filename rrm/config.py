@@ -6,9 +6,12 @@ torch or a simulator. `rrm.training.config` puts the sections together.
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal
+from dataclasses import dataclass
+from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
+
+from rrm.errors import ConfigError
 
 Count = Annotated[int, Field(ge=1)]
 NonNegative = Annotated[int, Field(ge=0)]
@@ -16,15 +19,44 @@ Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 Fraction = Annotated[float, Field(ge=0, le=1)]
 Weight = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 
-#: Learners that learn nothing: the reward is known. Feedback and teacher mean nothing to them.
-KNOWN_REWARDS = ("true", "prior")
-
 #: The learner that knows demonstrations alone: its run leaves the prior of this name behind.
 AIRL = "airl"
 IMITATION = "imitation"
 
-#: Learners that begin with demonstrations.
-DEMONSTRATED = (AIRL, "finetune")
+
+@dataclass(frozen=True, kw_only=True)
+class RewardKind:
+    """How a reward comes about, which decides what a run is made of."""
+
+    learned: bool = True  #: from preferences: feedback and teacher mean something
+    demonstrated: bool = False  #: it begins with demonstrations
+    prior: Literal["ignored", "needed", "refused", "residual"] = "residual"  #: what becomes of `reward.prior`
+
+    @property
+    def known(self) -> bool:
+        """Nothing is learned of it."""
+        return not (self.learned or self.demonstrated)
+
+
+KNOWN = RewardKind(learned=False, prior="ignored")  #: the true reward
+PRIOR_ALONE = RewardKind(learned=False, prior="needed")
+ADVERSARIAL = RewardKind(learned=False, demonstrated=True, prior="refused")  #: demonstrations alone
+TUNED = RewardKind(demonstrated=True, prior="refused")  #: the reward of demonstrations, trained further
+LEARNED = RewardKind()  #: from preferences, alone or on a prior
+
+#: What the names that are no learner's mean, and the learner that is unlike the others.
+KINDS = {"true": KNOWN, "prior": PRIOR_ALONE, AIRL: ADVERSARIAL, "finetune": TUNED}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Needs:
+    """What a learner asks of feedback sessions and of the loop, beyond labelled pairs of segments."""
+
+    margin: int = 0  #: steps beside a segment, on either side: it sees more than the teacher, who sees the middle
+    unlabelled: int = 0  #: uniform pairs without a label, drawn and kept for each query
+    refine_every: int = 1  #: environment steps between two calls of `refine`, which come before an update of the agent
+    refine_when_spent: bool = True  #: whether `refine` is still called once every question is asked
+    time_limits_end: bool = False  #: whether the batch of `refine`, and of the update after it, ends at time limits
 
 
 class Section(BaseModel):
@@ -47,9 +79,36 @@ class AgentConfig(Section):
     tau: Fraction = 0.005  #: share of the critic that enters its target
     target_every: Count = 2  #: updates between two target updates
     update_every: Count = 1  #: environment steps per update
+    kind: Literal["sac"] = "sac"  #: its name in `rrm.agents.AGENTS`
 
 
-class SurfConfig(Section):
+class LearnerSettings(Section):
+    """What a learner of ours is told beyond `RewardConfig`, and what planning must know of it without making it.
+
+    A learner with settings of its own has a section of this kind in `RewardConfig`, by its name.
+    """
+
+    amounts: ClassVar[tuple[str, ...]] = ()  #: settings that a profile shrinks with the length of a run
+    ignores: ClassVar[tuple[str, ...]] = ()  #: settings of `RewardConfig` that mean nothing to it
+
+    def needs(self) -> Needs:
+        """Of the learner with these settings."""
+        return Needs()
+
+    @property
+    def pairs_per_label(self) -> int:
+        """Pairs in a gradient step for each labelled one, itself included."""
+        return 1
+
+    def check(self, segment: int, update_every: int) -> None:
+        """Refuse settings that do not go with segments of so many steps, or so many steps between two updates.
+
+        Raises:
+            ConfigError: they do not.
+        """
+
+
+class SurfConfig(LearnerSettings):
     """SURF (Park et al. 2022); its README's settings for Meta-World, whose passes over the labels are `epochs = 20`."""
 
     threshold: Fraction = 0.99  #: tau: a pseudo-label counts from this probability of its class on
@@ -59,14 +118,40 @@ class SurfConfig(Section):
     margin: NonNegative = 5  #: w: steps a segment is longer by, on either side
     crop: NonNegative = 5  #: c: a crop is up to so many steps shorter or longer than a segment
 
+    ignores: ClassVar[tuple[str, ...]] = ("target_accuracy",)
 
-class MrnConfig(Section):
+    def needs(self) -> Needs:
+        return Needs(margin=self.margin, unlabelled=self.unlabelled)
+
+    @property
+    def pairs_per_label(self) -> int:
+        return 1 + self.ratio
+
+    def check(self, segment: int, update_every: int) -> None:  # noqa: ARG002 (the seam of others)
+        longest = min(2 * self.margin, segment - 1)
+        if self.crop > longest:
+            raise ConfigError(
+                f"reward.surf.crop: {self.crop} steps more or less; {longest} at the most with segments of {segment} "
+                f"between margins of {self.margin}"
+            )
+
+
+class MrnConfig(LearnerSettings):
     """MRN (Liu et al. 2022, "Meta-Reward-Net"); its README's settings for Meta-World."""
+
+    amounts: ClassVar[tuple[str, ...]] = ("every",)
 
     every: Count = 10_000  #: environment steps between two steps along the critic's opinion
     outer_weight: Positive = 0.1  #: of the outer loss
     meta_optimizer: Literal["shared", "separate"] = "shared"  #: the Adam of the labels (MRN's), or one of its own
     faithful_done: bool = False  #: MRN's code: at those steps a time limit cuts the bootstrap as a termination does
+
+    def needs(self) -> Needs:
+        return Needs(refine_every=self.every, refine_when_spent=False, time_limits_end=self.faithful_done)
+
+    def check(self, segment: int, update_every: int) -> None:  # noqa: ARG002 (the seam of others)
+        if self.every % update_every:
+            raise ConfigError(f"reward.mrn.every: {self.every} is not a multiple of agent.update_every, {update_every}")
 
 
 class RewardConfig(Section):
@@ -94,19 +179,21 @@ class RewardConfig(Section):
     mrn: MrnConfig = MrnConfig()  #: of the learner `mrn`
 
     @property
-    def is_learned(self) -> bool:
-        """True where preferences train the reward; not so for the true one, a prior alone, or demonstrations alone."""
-        return self.learner not in (*KNOWN_REWARDS, AIRL)
+    def kind(self) -> RewardKind:
+        """How the reward comes about."""
+        return KINDS.get(self.learner, LEARNED)
+
+    @classmethod
+    def own(cls) -> dict[str, LearnerSettings]:
+        """The sections of learners that have one, at their defaults, by name."""
+        found = {name: field.default for name, field in cls.model_fields.items()}
+        return {name: default for name, default in found.items() if isinstance(default, LearnerSettings)}
 
     @property
-    def margin(self) -> int:
-        """Steps beside a segment, on either side, that a learner of ours sees; a user's own says so when it is made."""
-        return self.surf.margin if self.learner == "surf" else 0
-
-    @property
-    def pairs_per_label(self) -> int:
-        """Pairs in a gradient step for each labelled one, itself included; of a learner of ours."""
-        return 1 + self.surf.ratio if self.learner == "surf" else 1
+    def settings(self) -> LearnerSettings:
+        """Of the learner. One of the user's has none here: it says what it needs when it is made."""
+        settings: LearnerSettings = getattr(self, self.learner) if self.learner in self.own() else LearnerSettings()
+        return settings
 
 
 class ImitationConfig(Section):

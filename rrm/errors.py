@@ -6,6 +6,12 @@ import difflib
 from collections.abc import Iterable
 
 
+def nearest(name: str, known: Iterable[str]) -> str:
+    """`; did you mean "x"?` where a known name is near, else nothing."""
+    near = difflib.get_close_matches(name, sorted(known), n=1)
+    return f'; did you mean "{near[0]}"?' if near else ""
+
+
 class RrmError(ValueError):
     """A mistake in what the library was given (configuration, prior, label, file), not a bug in the library."""
 
@@ -19,9 +25,7 @@ class UnknownNameError(RrmError):
 
     def __init__(self, kind: str, name: str, known: Iterable[str]) -> None:
         names = sorted(known)
-        near = difflib.get_close_matches(name, names, n=1)
-        hint = f'; did you mean "{near[0]}"?' if near else ""
-        super().__init__(f'unknown {kind} "{name}"{hint} known: {", ".join(names)}')
+        super().__init__(f'unknown {kind} "{name}"{nearest(name, names)} known: {", ".join(names)}')
         self.kind = kind
         self.name = name
 
@@ -48,3 +52,7 @@ class CheckpointError(RrmError):
 
 class NumericalError(RrmError):
     """A reward, action or loss that is not finite."""
+
+
+class WaitingError(Exception):
+    """Not a mistake: a run cannot go on before what it waits for has come from outside; the message says what."""

@@ -6,21 +6,25 @@ continues bit for bit where it was saved.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 import numpy as np
 import numpy.typing as npt
 
+from rrm.config import Needs
+
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
     import gymnasium
     from torch import Tensor
 
-    from rrm.types import Batch, Segments, State
+    from rrm.types import Batch, Floats, Segments, State
 
-Floats = npt.NDArray[np.float32]
+__all__ = [
+    "Agent", "Answer", "CriticAgent", "Env", "Feedback", "Needs", "Query", "RewardFunction", "RewardLearner",
+    "SegmentRef", "Stateful", "StochasticAgent", "Teacher", "TrueRewards",
+]  # fmt: skip
 
 
 class Stateful(Protocol):
@@ -42,6 +46,7 @@ class Env(Protocol):
 
     observation_space: gymnasium.spaces.Box[np.float32]
     action_space: gymnasium.spaces.Box[np.float32]
+    horizon: int  #: steps of an episode
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Floats, dict[str, Any]]:
         """Start an episode; a seed restarts the stream from which task instances are drawn."""
@@ -63,7 +68,6 @@ class Agent(Stateful, Protocol):
     """An off-policy agent. It receives batches and knows neither environment nor buffer."""
 
     updates: int  #: finished so far
-    critic_lr: float  #: step size of the critics' optimiser
 
     def act(self, obs: Floats, *, explore: bool) -> Floats:
         """Action float32 [A] for one observation float32 [O]: a sample when exploring, else the deterministic one."""
@@ -73,6 +77,22 @@ class Agent(Stateful, Protocol):
 
     def reset_critic(self) -> None:
         """Fresh critic, target and critic optimiser; actor and temperature stay (PEBBLE's first session)."""
+
+    def figures(self) -> Mapping[str, float]:
+        """What the last update has to say, for the curve; NaN before the first.
+
+        Raises:
+            NumericalError: the last update made something that is not finite.
+        """
+
+    def weights(self) -> State:
+        """Tensors that training changes, and that must stay finite."""
+
+
+class CriticAgent(Agent, Protocol):
+    """An agent whose critics a learner may ask."""
+
+    critic_lr: float  #: step size of the critics' optimiser
 
     def q_values(self, obs: Tensor, act: Tensor, params: Sequence[Tensor] | None = None) -> Tensor:
         """What the critics say, float32 [2, B], differentiable; `params` stand in for their own."""
@@ -85,9 +105,6 @@ class Agent(Stateful, Protocol):
 
         Its random draws are its own: whoever asks does not disturb training.
         """
-
-    def metrics(self) -> dict[str, float]:
-        """Figures of the last update: `critic_loss`, `actor_loss`, `entropy`, `alpha`; NaN before the first."""
 
 
 class StochasticAgent(Agent, Protocol):
@@ -116,17 +133,6 @@ class RewardFunction(Stateful, Protocol):
         """
 
 
-@dataclass(frozen=True, kw_only=True)
-class Needs:
-    """What a learner asks of feedback sessions and of the loop, beyond labelled pairs of segments."""
-
-    margin: int = 0  #: steps beside a segment, on either side: it sees more than the teacher, who sees the middle
-    unlabelled: int = 0  #: uniform pairs without a label, drawn and kept for each query
-    refine_every: int = 1  #: environment steps between two calls of `refine`, which come before an update of the agent
-    refine_when_spent: bool = True  #: whether `refine` is still called once every question is asked
-    time_limits_end: bool = False  #: whether the batch of `refine`, and of the update after it, ends at time limits
-
-
 class RewardLearner(Stateful, Protocol):
     """Trains a reward function from preferences; PEBBLE, SURF and MRN differ only behind this seam."""
 
@@ -136,7 +142,7 @@ class RewardLearner(Stateful, Protocol):
     def fit(self, feedback: Feedback) -> dict[str, float]:
         """One feedback session's worth of training on every label so far; `label_accuracy` and the like."""
 
-    def refine(self, batch: Batch, agent: Agent, feedback: Feedback) -> bool:
+    def refine(self, batch: Batch, agent: CriticAgent, feedback: Feedback) -> bool:
         """Called before updates of the agent (see `Needs`) after the first session; True when the reward changed."""
 
     def metrics(self) -> dict[str, float]:
@@ -166,11 +172,44 @@ class Feedback(Protocol):
         """Both segments of pairs without a label, by position."""
 
 
-class Teacher(Stateful, Protocol):
-    """Answers queries. The scripted one reads true rewards; a person sees the segments."""
+class SegmentRef(NamedTuple):
+    """A segment of stored experience."""
 
-    def label(self, true_rewards: tuple[Floats, Floats]) -> npt.NDArray[np.int8]:
-        """For each pair of segments (true reward per step, [B, T] each): 0 first, 1 second, -1 equal, -2 skipped."""
+    start: int  #: row of its first step
+    length: int  #: steps
+
+
+class Query(NamedTuple):
+    """The question which of two segments is better."""
+
+    id: str  #: sixteen hex digits that stand for what both show
+    first: SegmentRef
+    second: SegmentRef
+    asked_at: int  #: environment step
+
+
+class Answer(NamedTuple):
+    """What a teacher says to a query."""
+
+    query: str  #: its id
+    preference: float  #: probability that the second is better: 0, 1, or 1/2 where they are equal; NaN: no answer
+
+
+class Teacher(Stateful, Protocol):
+    """Answers queries, at once or later. What it may see is handed to it when it is made: true rewards, or clips."""
+
+    def ask(self, queries: Sequence[Query]) -> None:
+        """Take queries; those that were open when a run was interrupted are put again."""
+
+    def answers(self) -> list[Answer]:
+        """What has arrived since the last call; never waits."""
 
     def observe_return(self, true_return: float, length: int) -> None:
         """Told of each finished training episode, for thresholds that follow the agent's level."""
+
+
+class TrueRewards(Protocol):
+    """The view of a teacher that knows the true reward."""
+
+    def true_rewards(self, starts: npt.NDArray[np.int64], length: int) -> Floats:
+        """True reward of the `length` steps from each of the rows `starts` [...] on, float32 [..., length]."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ast
-import difflib
 import hashlib
 import importlib
 import importlib.util
@@ -13,7 +12,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from rrm.errors import ConfigError, UnknownNameError
+from rrm.errors import ConfigError, UnknownNameError, nearest
 from rrm.files import place, read_bounded
 
 #: How files end that hold a language model's code: `rrm.priors.language` rebuilds it, and it never runs as it stands.
@@ -56,9 +55,7 @@ def check_file(name: str, kind: str) -> None:
     path, attribute = _located(name, kind)
     names = _top_level(_parsed(path, name, kind))
     if attribute not in names and not names & _OPEN:
-        near = difflib.get_close_matches(attribute, sorted(names), n=1)
-        hint = f'; did you mean "{near[0]}"?' if near else ""
-        raise ConfigError(f"{kind} {name!r}: {path} defines no {attribute!r}{hint}")
+        raise ConfigError(f"{kind} {name!r}: {path} defines no {attribute!r}{nearest(attribute, names)}")
 
 
 def _parsed(path: Path, name: str, kind: str) -> ast.Module:

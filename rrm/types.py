@@ -5,11 +5,16 @@ Axes: `B` batch, `T` time inside a segment, `N` ensemble member, `O` observation
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
 
 if TYPE_CHECKING:
     from torch import Tensor
+
+Floats = npt.NDArray[np.float32]
 
 #: What `state_dict` returns: nested dicts and lists of tensors, numpy arrays and JSON values. No other objects, so that
 #: a checkpoint can be written without a pickle.
@@ -35,6 +40,26 @@ class Segments(NamedTuple):
     prior: Tensor  #: float32 [B, T], r0 as stored at collection
 
 
+class Transition(NamedTuple):
+    """One environment step as it was lived. Sources of rewards see it; agents and learners see batches."""
+
+    obs: Floats  #: [O]
+    act: Floats  #: [A], in [-1, 1]
+    next_obs: Floats  #: [O]
+    prior: float  #: scaled, r0; 0 without a prior
+    raw_prior: float
+    true_reward: float
+    terminated: bool  #: cuts the bootstrap
+    truncated: bool  #: a time limit, which does not
+
+
+class Evaluation(NamedTuple):
+    """What a policy is worth: means over the episodes."""
+
+    true_return: float
+    success: float  #: share of the episodes; NaN where the task has no success criterion
+
+
 @dataclass(frozen=True, kw_only=True)
 class EvalRow:
     """One evaluation: a row of a run's curve. Success is a fraction, times are seconds, steps are environment steps."""
@@ -45,16 +70,17 @@ class EvalRow:
     success: float  #: share of episodes with success (`evaluation.success`); NaN for tasks without such a criterion
     queries: int  #: queries put to the teacher so far, skipped ones included
     labels: int  #: labels kept so far
-    label_accuracy: float  #: agreement with the labels during the last epoch of the last training; NaN before
-    true_accuracy: float  #: agreement with the true reward on fresh uniform pairs; NaN where no reward is learned
     prior_mean: float  #: mean of r0 over the transitions since the last row; NaN without a prior
     residual_mean: float  #: mean of (reward - r0) over those transitions; NaN without a prior
     reward_mean: float  #: mean of the reward the agent was given for those transitions
     reward_std: float  #: its standard deviation
     true_reward_mean: float  #: mean true reward of those transitions
-    critic_loss: float  #: last critic loss; NaN before the first update
-    actor_loss: float  #: last actor loss
-    entropy: float  #: last estimate of the policy's entropy, nats
-    alpha: float  #: temperature of SAC
     wall_s: float  #: training time so far, interruptions left out
     steps_per_s: float  #: environment steps per second since the last row, evaluation included
+    figures: dict[str, float] = field(default_factory=dict)  #: what agent and sources of rewards say of themselves
+
+    def columns(self) -> dict[str, float]:
+        """Every number by its name, those of the figures behind the others."""
+        row = asdict(self)
+        figures: dict[str, float] = row.pop("figures")
+        return row | {name: float(value) for name, value in figures.items()}

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import errno
+from collections.abc import Collection
 from enum import IntEnum
+
+from rrm.errors import nearest
 
 
 class Exit(IntEnum):
@@ -45,6 +48,16 @@ def room_error(error: BaseException) -> RoomError | None:
     return (
         RoomError("pages of memory") if isinstance(error, MemoryError) or number == errno.ENOMEM or unmapped else None
     )
+
+
+def check_known(name: str, known: Collection[str], problem: str, there: str = "known") -> None:
+    """Refuse a name that is not known.
+
+    Raises:
+        UserError: the problem, with the nearest name that there is; the hint lists all of them.
+    """
+    if name not in known:
+        raise UserError(f"{problem}{nearest(name, known)}", f"{there}: {', '.join(known)}")
 
 
 def shown(value: object, most: int = 200) -> str:

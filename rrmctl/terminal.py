@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import re
-from typing import TYPE_CHECKING, Any
+import sys
+from typing import TYPE_CHECKING, Any, TextIO
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -18,8 +19,10 @@ def spelled(text: str) -> str:
     return _CONTROL.sub(lambda sign: repr(sign[0])[1:-1], text)
 
 
-def console(**options: Any) -> Console:
-    """A `rich.console.Console` that spells out what it is given; colours are its own."""
+def console(file: TextIO | None = None, **options: Any) -> Console:
+    """A `rich.console.Console` that spells out what it is given and takes it as it stands: brackets and colons mean
+    nothing. Colours are its own.
+    """
     from rich.console import Console
     from rich.segment import Segment
 
@@ -28,4 +31,11 @@ def console(**options: Any) -> Console:
             for segment in super().render(*args, **kwargs):
                 yield segment if segment.control else Segment(spelled(segment.text), segment.style)
 
-    return Spelling(**options)
+    return Spelling(file=file, highlight=False, markup=False, emoji=False, **options)
+
+
+def stdout_console(unwatched: int = 200, **options: Any) -> Console:
+    """Standard output, as wide as the terminal; where nobody looks, so wide that a program that reads it finds no name
+    cut or folded.
+    """
+    return console(width=None if sys.stdout.isatty() else unwatched, **options)

@@ -8,6 +8,7 @@ import subprocess
 import sys
 import tomllib
 from collections.abc import Iterator
+from graphlib import TopologicalSorter
 from pathlib import Path
 
 import pytest
@@ -39,18 +40,31 @@ FACTS = {
     *("rrm", "rrm.envs.tasks", "rrm.errors", "rrm.files", "rrm.parquet", "rrm.precision", "rrm.process", "rrm.toml")
 }
 
-#: Floors of `rrm`: a module imports from floors below its own, or from its own package.
+#: Floors of either package: a module imports from floors below its own, or from its own room (the first part of its
+#: name); what no floor names is the ground that all stand on. Wherever the import stands: at the top of the file, in a
+#: function, or for types alone.
 FLOORS = {
-    "training": 6,
-    "priors": 5,
-    "imitation": 4, "teachers": 4, "queries": 4,
-    "agents": 3, "rewards": 3,
-    "buffers": 2,
-    "nets": 1, "losses": 1,
+    "rrm": {
+        "library": 7,
+        "training": 6,
+        "priors": 5, "sources": 5,
+        "imitation": 4, "teachers": 4, "queries": 4,
+        "agents": 3, "rewards": 3,
+        "buffers": 2,
+        "envs": 1, "nets": 1, "losses": 1,
+    },
+    "rrmctl": {
+        "__main__": 5,
+        "cli": 4,
+        "export": 3,
+        "reports": 2, "running": 2, "doctor": 2,
+        "planning": 1, "store": 1, "stats": 1,
+    },
 }  # fmt: skip
 #: Where a name or a text becomes something that runs, and how: names in our own tables, `file.py:function` of the
 #: user's, what is rebuilt from a language model's words, and our own folders of commands.
 DYNAMIC = {
+    "rrm": {"import_module"},
     "rrm.envs.tasks": {"import_module"},
     "rrm.registry": {"import_module", "compile", "exec_module"},
     "rrm.priors.language.translate": {"compile", "exec"},
@@ -69,7 +83,10 @@ RUNS = {
     "run_module",
 }
 UNSAFE = {"pickle", "marshal", "shelve", "dill", "cloudpickle", "joblib", "yaml", "runpy", "code", "imp"}
-HEAVY = {"torch", "numpy", "pandas", "pyarrow", "pydantic", "matplotlib", "mujoco", "metaworld", "dm_control", "scipy"}
+HEAVY = {
+    *("torch", "numpy", "pandas", "pyarrow", "pydantic", "matplotlib", "scipy", "jinja2"),
+    *("mujoco", "metaworld", "dm_control"),
+}
 
 
 def modules() -> dict[str, Path]:
@@ -84,27 +101,21 @@ def modules() -> dict[str, Path]:
 MODULES = modules()
 
 
-def _is_for_types_only(node: ast.If) -> bool:
-    return isinstance(node.test, ast.Name) and node.test.id == "TYPE_CHECKING"
+def _for_types_only(tree: ast.Module) -> set[ast.AST]:
+    """What no run of the module comes to."""
+    blocks = (node for node in ast.walk(tree) if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING")
+    return {inner for block in blocks for statement in block.body for inner in ast.walk(statement)}
 
 
-def _statements(body: list[ast.stmt], *, inside: bool) -> Iterator[ast.stmt]:
-    """Statements that run on import; with `inside`, those in functions as well. Never those for type checkers."""
-    for node in body:
-        if isinstance(node, ast.If) and _is_for_types_only(node):
-            continue
-        yield node
-        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef) and not inside:
-            continue
-        for part in ("body", "orelse", "finalbody", "handlers"):
-            for child in getattr(node, part, []):
-                yield from _statements(child.body if isinstance(child, ast.ExceptHandler) else [child], inside=inside)
+def imports(name: str, *, types: bool = False) -> set[str]:
+    """The modules that `name` imports, wherever it does; ours by the most precise name there is.
 
-
-def imports(name: str, *, inside: bool = True) -> set[str]:
-    """The modules that `name` imports; ours by the most precise name there is."""
+    Args:
+        types: also what it imports for type checkers alone.
+    """
     found = set()
-    for node in _statements(ast.parse(MODULES[name].read_text()).body, inside=inside):
+    tree = ast.parse(MODULES[name].read_text())
+    for node in set(ast.walk(tree)) - (set() if types else _for_types_only(tree)):
         if isinstance(node, ast.Import):
             found |= {alias.name for alias in node.names}
         elif isinstance(node, ast.ImportFrom):
@@ -115,8 +126,8 @@ def imports(name: str, *, inside: bool = True) -> set[str]:
     return found
 
 
-def ours(name: str, *, inside: bool = True) -> set[str]:
-    return {module for module in imports(name, inside=inside) if module.split(".")[0] in ("rrm", "rrmctl")}
+def ours(name: str, *, types: bool = False) -> set[str]:
+    return {module for module in imports(name, types=types) if module.split(".")[0] in ("rrm", "rrmctl")}
 
 
 def test_the_library_does_not_know_the_program() -> None:
@@ -147,27 +158,26 @@ def test_statistics_stand_alone() -> None:
 
 
 def test_no_circles() -> None:
-    """Imports that run with the module form no circle."""
-    graph = {module: ours(module, inside=False) & set(MODULES) - {module} for module in MODULES}
-    left = dict(graph)
-    while leaves := [module for module, needs in left.items() if not needs & set(left)]:
-        for module in leaves:
-            del left[module]
-    assert left == {}
+    """Imports form no circle, those inside functions included: they would hide it from Python, not mend it."""
+    TopologicalSorter({module: ours(module, types=True) - {module} for module in MODULES}).prepare()
 
 
-def test_floors_of_the_library() -> None:
-    """Rooms of `rrm` import from floors below; what no floor names is the ground that all stand on."""
+@pytest.mark.parametrize("package", sorted(FLOORS))
+def test_floors(package: str) -> None:
+    """Rooms import from floors below, and no tie goes up by way of a function."""
 
     def room(module: str) -> str:
-        return module.split(".")[1] if "." in module else ""
+        return ".".join(module.split(".")[1:2])
 
+    floors = FLOORS[package]
+    assert set(floors) <= {room(module) for module in MODULES if module.split(".")[0] == package}
     wrong = [
         f"{module} imports {other}"
         for module in MODULES
-        if module.startswith("rrm.") and room(module) in FLOORS
-        for other in ours(module)
-        if room(other) in FLOORS and room(other) != room(module) and FLOORS[room(other)] >= FLOORS[room(module)]
+        if module.split(".")[0] == package and module != package  # its front door opens into every room
+        for other in ours(module, types=True)
+        if other.split(".")[0] == package and room(other) != room(module)
+        if floors.get(room(other), 0) >= max(floors.get(room(module), 0), 1)
     ]
     assert wrong == []
 
@@ -287,3 +297,23 @@ def test_arrow_starts_no_threads() -> None:
         and "use_threads" not in {keyword.arg for keyword in node.keywords}
     }  # fmt: skip
     assert calls == set()
+
+
+def test_one_idea_has_one_home() -> None:
+    """Near names are found, consoles made, and words compared with that of nothing asked, in one module each."""
+    trees = [(module, node) for module, path in MODULES.items() for node in ast.walk(ast.parse(path.read_text()))]
+    comparing = {
+        module
+        for module, node in trees
+        if isinstance(node, ast.Compare)
+        for side in (node.left, *node.comparators)
+        if "-" in (getattr(part, "value", "") for part in (side, *getattr(side, "elts", ())))
+    }
+    making = {
+        module
+        for module, node in trees
+        if isinstance(node, ast.FunctionDef) and node.returns and ast.unparse(node.returns) == "Console"
+    }
+    assert {module for module in MODULES if "difflib" in imports(module)} == {"rrm.errors"}
+    assert making == {"rrmctl.terminal"}
+    assert comparing == set()  # `rrmctl.labels` has a name for it

@@ -25,10 +25,9 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from rrm.config import AgentConfig
-    from rrm.interfaces import Floats
     from rrm.precision import Precision
     from rrm.seeding import Streams
-    from rrm.types import Batch, State
+    from rrm.types import Batch, Floats, State
 
 _LARGEST = 1 - 1e-6  #: of an action whose density is asked for; float32's tanh rounds to one, where atanh is infinite
 
@@ -266,9 +265,20 @@ class Sac:
             value = torch.minimum(q_next[0], q_next[1]) - self.log_alpha.exp() * sample.log_prob()
         return batch.reward + self.config.discount * batch.continues * value
 
-    def metrics(self) -> dict[str, float]:
-        """`critic_loss`, `actor_loss`, `entropy` (nats) and `alpha` of the last update; NaN before the first."""
-        return dict(zip(_FIGURES, self._figures.tolist(), strict=True))
+    def figures(self) -> dict[str, float]:
+        """`critic_loss`, `actor_loss`, `entropy` (nats) and `alpha` of the last update; NaN before the first.
+
+        Raises:
+            NumericalError: one of them is not finite.
+        """
+        figures = dict(zip(_FIGURES, self._figures.tolist(), strict=True))
+        if self.updates and not all(map(math.isfinite, figures.values())):
+            raise NumericalError(f"a figure of the agent is not finite: {figures}")
+        return figures
+
+    def weights(self) -> State:
+        """Of actor and critics."""
+        return {"actor": self.actor.flat, "critic": self.critic.flat}
 
     def state_dict(self) -> State:
         """Networks, optimisers, temperature, target, counter and the figures of the last update."""

@@ -10,9 +10,9 @@ from torch import Tensor
 from rrm.buffers.experience import Experience
 from rrm.types import Segments, State
 
-FIRST, SECOND, EQUAL, SKIPPED = 0, 1, -1, -2  #: a teacher's answers
+FIRST, SECOND, EQUAL, SKIPPED = 0.0, 1.0, 0.5, float("nan")  #: a teacher's answers
 Rows = npt.NDArray[np.int64]
-Labels = npt.NDArray[np.int8]
+Preference = npt.NDArray[np.float32]
 
 
 class PairRing:
@@ -57,15 +57,15 @@ class Preferences(PairRing):
 
     def __init__(self, capacity: int, segment: int) -> None:
         super().__init__(capacity, segment)
-        self._labels = np.zeros(capacity, np.int8)
+        self._labels = np.zeros(capacity, np.float32)
 
     @property
-    def labels(self) -> Labels:
-        """0 where the first is preferred, 1 the second, -1 neither; int8 [n]."""
+    def labels(self) -> Preference:
+        """Probability that the second is preferred: 0, 1, or 1/2 where neither is; float32 [n]."""
         return self._labels[: len(self)]
 
-    def add(self, pairs: Rows, labels: Labels) -> None:
-        """Append labelled pairs, int64 [n, 2] and int8 [n]; the oldest give way."""
+    def add(self, pairs: Rows, labels: Preference) -> None:
+        """Append labelled pairs, int64 [n, 2] and float32 [n]; the oldest give way."""
         self._labels[self.put(pairs)] = labels
 
     def state_dict(self) -> State:
@@ -99,8 +99,7 @@ class StoredFeedback:
 
         The probability is 0 or 1, or one half where the teacher called them equal.
         """
-        labels = torch.from_numpy(self._preferences.labels)[index]
-        target = torch.where(labels == EQUAL, 0.5, labels.float())
+        target = torch.from_numpy(self._preferences.labels)[index]
         return *self._segments(self._preferences, index), target
 
     def newest(self) -> Tensor:

@@ -15,8 +15,7 @@ from gymnasium.error import ResetNeeded
 from gymnasium.spaces import Box
 
 from rrm.errors import ConfigError, NumericalError
-from rrm.interfaces import Floats
-from rrm.types import State
+from rrm.types import Floats, State
 
 Doubles = npt.NDArray[np.float64]
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from rrm.envs.tasks import task
 from rrm.errors import ConfigError
-from rrm.interfaces import Floats
+from rrm.types import Floats
 
 
 def scripted_policy(name: str) -> Callable[[Floats], Floats]:

@@ -1,23 +1,30 @@
-"""The one place that says what each task is and where its named features stand in the observation.
+"""The one place that says what each task is and what the named features of its observations are.
 
-A feature is a slice of the observation in metres (`hand`, `object`, `goal`), the uprightness of the torso (`upright`,
-the z component of its z axis, in [-1, 1]) or a distance (`clearance`, metres to the nearest obstacle's edge). Priors
-ask for features by name and never index an observation.
+A feature is a position in metres (`hand`, `object`, `goal`), the uprightness of the torso (`upright`, the z component
+of its z axis, in [-1, 1]) or a distance (`clearance`, metres to the nearest obstacle's edge); a task may have others.
+Priors ask for features by name: nobody else indexes an observation.
 """
 
 from __future__ import annotations
 
 import importlib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from rrm.errors import ConfigError, UnknownNameError
 
 if TYPE_CHECKING:
+    import numpy as np
+    import numpy.typing as npt
+
     from rrm.interfaces import Env
+    from rrm.types import Floats
 
 Score = Literal["success", "return"]
+
+#: Where a feature stands in the observation, or how it follows from it.
+Feature = slice | Callable[["Floats"], Any]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -32,7 +39,8 @@ class Task:
     act_dim: int  #: length of the action vector; every action lies in [-1, 1]
     entry_point: str  #: dotted path of the environment's class
     kwargs: Mapping[str, str] = field(default_factory=dict)  #: arguments of that class
-    features: Mapping[str, slice] = field(default_factory=dict)  #: name -> where in the observation
+    packages: tuple[str, ...] = ("gymnasium",)  #: distributions that its simulator is made of
+    features: Mapping[str, Feature] = field(default_factory=dict)  #: what a prior may ask of an observation, by name
     outcomes: tuple[str, ...] = ()  #: physical quantities after a step, in its `info`, that a prior may read
 
     @property
@@ -45,6 +53,17 @@ class Task:
         """What a prior may ask for: the features, and `success` where the task has such a criterion."""
         return (*self.features, "success") if self.score == "success" else tuple(self.features)
 
+    def feature(self, name: str, obs: Floats) -> npt.NDArray[np.float64]:
+        """The numbers of a feature in an observation, a copy.
+
+        Raises:
+            KeyError: there is no such feature.
+        """
+        where = self.features[name]
+        value = obs[where] if isinstance(where, slice) else where(obs)
+        numbers: npt.NDArray[np.float64] = value.astype("float64")
+        return numbers
+
 
 _HAND_OBJECT_GOAL = {"hand": slice(0, 3), "object": slice(4, 7), "goal": slice(36, 39)}
 
@@ -53,6 +72,7 @@ def _metaworld(name: str) -> Task:
     return Task(
         name=name, suite="metaworld", score="success", horizon=500, obs_dim=39, act_dim=4,
         entry_point="rrm.envs.metaworld:MetaWorldEnv", kwargs={"task": f"{name}-v3"}, features=_HAND_OBJECT_GOAL,
+        packages=("metaworld", "mujoco", "gymnasium"),
     )  # fmt: skip
 
 
@@ -62,6 +82,7 @@ def _dmc(name: str, obs_dim: int, act_dim: int, upright: int, outcomes: tuple[st
         name=name, suite="dmc", score="return", horizon=1000, obs_dim=obs_dim, act_dim=act_dim,
         entry_point="rrm.envs.dmc:DmcEnv", kwargs={"domain": domain, "task": task_name},
         features={"upright": slice(upright, upright + 1)}, outcomes=outcomes,
+        packages=("dm-control", "mujoco", "gymnasium"),
     )  # fmt: skip
 
 

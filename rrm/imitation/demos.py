@@ -22,7 +22,7 @@ from rrm.files import UnfitFileError, place, read_bounded, write_atomically
 
 if TYPE_CHECKING:
     from rrm.envs.tasks import Task
-    from rrm.interfaces import Floats
+    from rrm.types import Floats
 
 FORMAT = "rrm-demonstrations-1"
 _ENTRY = "demonstrations"

@@ -22,6 +22,9 @@ class Normaliser(Protocol):
     def __call__(self, raw: float) -> float:
         """Count `raw` in, then scale it."""
 
+    def scaled(self, raw: float) -> float:
+        """Scale it by what was seen so far."""
+
     def state_dict(self) -> State:
         """What was seen so far."""
 
@@ -37,6 +40,9 @@ class ScaleNormaliser:
 
     def __call__(self, raw: float) -> float:
         self._moments.add(raw)
+        return self.scaled(raw)
+
+    def scaled(self, raw: float) -> float:
         return raw / max(1.0, self._moments.std)
 
     def state_dict(self) -> State:
@@ -54,6 +60,9 @@ class ZScoreNormaliser:
 
     def __call__(self, raw: float) -> float:
         self._moments.add(raw)
+        return self.scaled(raw)
+
+    def scaled(self, raw: float) -> float:
         return (raw - self._moments.mean) / (self._moments.std + EPSILON)
 
     def state_dict(self) -> State:

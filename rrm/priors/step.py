@@ -17,7 +17,7 @@ from rrm.envs.tasks import Task
 from rrm.errors import PriorError
 
 if TYPE_CHECKING:
-    from rrm.interfaces import Floats
+    from rrm.types import Floats
 
 Position = npt.NDArray[np.float64]
 
@@ -65,12 +65,11 @@ class Scene:
     def feature(self, name: str) -> Position:
         """The feature's numbers, float64, a copy."""
         try:
-            where = self.task.features[name]
+            return self.task.feature(name, self.obs)
         except KeyError:
             raise PriorError(
                 f'{self.task.name} does not reveal "{name}"; it reveals: {", ".join(self.task.reveals)}'
             ) from None
-        return self.obs[where].astype(np.float64)
 
 
 @dataclass(frozen=True, slots=True)

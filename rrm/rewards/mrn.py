@@ -18,7 +18,7 @@ import torch
 from torch import Tensor
 
 from rrm.config import RewardConfig
-from rrm.interfaces import Agent, Feedback, Needs, RewardFunction
+from rrm.interfaces import CriticAgent, Feedback, RewardFunction
 from rrm.losses import preference_loss
 from rrm.rewards.pebble import Pebble, adam_state, load_adam_state
 from rrm.types import Batch, Segments, State
@@ -30,13 +30,13 @@ class Mrn(Pebble):
     def __init__(self, reward: RewardFunction, config: RewardConfig, rng: np.random.Generator) -> None:
         super().__init__(reward, config, rng)
         mrn = config.mrn
-        self.needs = Needs(refine_every=mrn.every, refine_when_spent=False, time_limits_end=mrn.faithful_done)
+        self.needs = mrn.needs()
         self._own = torch.optim.Adam(reward.parameters(), lr=config.lr, fused=True)  # of the option "separate"
         self._meta_optimizer = self._own if mrn.meta_optimizer == "separate" else self._optimizer
         self._figures = torch.full((2,), float("nan"))
         self._steps = 0
 
-    def refine(self, batch: Batch, agent: Agent, feedback: Feedback) -> bool:
+    def refine(self, batch: Batch, agent: CriticAgent, feedback: Feedback) -> bool:
         """One step of the reward on the outer loss; False while there is no label."""
         if not len(feedback):
             return False
@@ -53,7 +53,7 @@ class Mrn(Pebble):
         self._steps += 1
         return True
 
-    def outer_loss(self, batch: Batch, agent: Agent, feedback: Feedback) -> Tensor:
+    def outer_loss(self, batch: Batch, agent: CriticAgent, feedback: Feedback) -> Tensor:
         """How badly critics one step ahead tell the newest labels; a scalar, differentiable in the reward's parameters.
 
         Args:

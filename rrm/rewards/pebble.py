@@ -14,7 +14,7 @@ from torch import Tensor
 
 from rrm.config import RewardConfig
 from rrm.errors import NumericalError
-from rrm.interfaces import Agent, Feedback, Needs, RewardFunction
+from rrm.interfaces import CriticAgent, Feedback, Needs, RewardFunction
 from rrm.losses import preference_logit, preference_loss
 from rrm.types import Batch, Segments, State
 
@@ -105,7 +105,7 @@ class Pebble:
         r_first, r_second = rewards.chunk(2, dim=1)
         return (r_first, r_second), self.reward.penalty(rewards, both)
 
-    def refine(self, batch: Batch, agent: Agent, feedback: Feedback) -> bool:  # noqa: ARG002 (the seam of others)
+    def refine(self, batch: Batch, agent: CriticAgent, feedback: Feedback) -> bool:  # noqa: ARG002 (the seam of others)
         """PEBBLE learns in sessions alone."""
         return False
 

@@ -16,7 +16,7 @@ import torch
 from torch import Tensor
 
 from rrm.config import RewardConfig
-from rrm.interfaces import Feedback, Needs, RewardFunction
+from rrm.interfaces import Feedback, RewardFunction
 from rrm.losses import preference_loss, pseudo_label_loss, window_sums
 from rrm.rewards.pebble import PAIRS_AT_ONCE, Pebble, checked, told_right
 from rrm.types import Segments, State
@@ -28,7 +28,7 @@ class Surf(Pebble):
     def __init__(self, reward: RewardFunction, config: RewardConfig, rng: np.random.Generator) -> None:
         """Args: rng: the stream that shuffles labels and crops segments."""
         super().__init__(reward, config, rng)
-        self.needs = Needs(margin=config.surf.margin, unlabelled=config.surf.unlabelled)
+        self.needs = config.surf.needs()
         self._sure = float("nan")  # share of pseudo-labels that counted in the last pass
 
     def fit(self, feedback: Feedback) -> dict[str, float]:

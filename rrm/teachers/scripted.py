@@ -15,46 +15,64 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from rrm.buffers.preferences import EQUAL, FIRST, SECOND, SKIPPED, Labels
-from rrm.interfaces import Floats
-from rrm.types import State
+from rrm.buffers.preferences import EQUAL, SKIPPED, Preference
+from rrm.interfaces import Answer, Query, TrueRewards
+from rrm.types import Floats
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from rrm.config import TeacherConfig
+    from rrm.types import State
 
 _WINDOW = 10  # episodes
 
 
 class ScriptedTeacher:
-    """Labels pairs of segments from their true rewards."""
+    """Answers at once, from the true rewards of both segments."""
 
-    def __init__(self, config: TeacherConfig, rng: np.random.Generator) -> None:
+    def __init__(self, config: TeacherConfig, rng: np.random.Generator, view: TrueRewards) -> None:
         self.config = config
         self._rng = rng
+        self._view = view
         self._per_step: deque[float] = deque(maxlen=_WINDOW)  # mean true reward of the newest episodes
+        self._given: list[Answer] = []
+
+    def ask(self, queries: Sequence[Query]) -> None:
+        if not queries:
+            return
+        starts = np.array([(query.first.start, query.second.start) for query in queries], np.int64)
+        rewards = self._view.true_rewards(starts, queries[0].first.length)
+        preferences = self.prefer(rewards[:, 0], rewards[:, 1]).tolist()
+        self._given += [Answer(query.id, value) for query, value in zip(queries, preferences, strict=True)]
+
+    def answers(self) -> list[Answer]:
+        given, self._given = self._given, []
+        return given
 
     def observe_return(self, true_return: float, length: int) -> None:
         self._per_step.append(true_return / length)
 
-    def label(self, true_rewards: tuple[Floats, Floats]) -> Labels:
-        first, second = (r.astype(np.float64) for r in true_rewards)
+    def prefer(self, first_rewards: Floats, second_rewards: Floats) -> Preference:
+        """For each pair of segments, whose true rewards are given, [B, T] each: 0, 1, 1/2 or NaN, float32 [B]."""
+        first, second = first_rewards.astype(np.float64), second_rewards.astype(np.float64)
         config = self.config
         sums = np.stack([first.sum(1), second.sum(1)])
         typical = float(np.mean(self._per_step)) * first.shape[1] if self._per_step else 0.0
 
-        labels = self._prefer(recency_weighted(first, config.gamma), recency_weighted(second, config.gamma))
-        flipped = self._rng.random(len(labels)) < config.mistake
-        labels = np.where(flipped, FIRST + SECOND - labels, labels).astype(np.int8)
-        labels[np.abs(sums[0] - sums[1]) < config.equal * typical] = EQUAL
+        prefers = self._prefers_second(recency_weighted(first, config.gamma), recency_weighted(second, config.gamma))
+        flipped = self._rng.random(len(prefers)) < config.mistake
+        preference: Preference = (prefers != flipped).astype(np.float32)
+        preference[np.abs(sums[0] - sums[1]) < config.equal * typical] = EQUAL
         if config.skip * typical > 0:  # where a typical segment is worth less than nothing there is no such threshold
-            labels[sums.max(axis=0) <= config.skip * typical] = SKIPPED
-        return labels
+            preference[sums.max(axis=0) <= config.skip * typical] = SKIPPED
+        return preference
 
-    def _prefer(self, first: npt.NDArray[np.float64], second: npt.NDArray[np.float64]) -> Labels:
+    def _prefers_second(self, first: npt.NDArray[np.float64], second: npt.NDArray[np.float64]) -> npt.NDArray[np.bool_]:
         if self.config.beta is None:
-            return (first < second).astype(np.int8)
+            return first < second
         probability = preference_probability(second - first, self.config.beta)
-        return (self._rng.random(len(first)) < probability).astype(np.int8)
+        return self._rng.random(len(first)) < probability
 
     def state_dict(self) -> State:
         return {"per_step": list(self._per_step)}

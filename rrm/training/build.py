@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
-import torch
-
+from rrm.agents import AGENTS
 from rrm.buffers.experience import Experience
+from rrm.buffers.replay import Replay
 from rrm.checkpoint import again
-from rrm.config import IMITATION
+from rrm.config import IMITATION, PRIOR_ALONE
 from rrm.errors import DemosError, MissingResultError
 from rrm.imitation.demos import Demonstrations
 from rrm.imitation.finetune import Finetune, ImitatedReward
-from rrm.interfaces import RewardFunction, RewardLearner
+from rrm.imitation.networks import RewardNet
+from rrm.interfaces import Agent, RewardFunction, RewardLearner
 from rrm.priors import load_prior
 from rrm.priors.imitation import ImitationPrior
 from rrm.priors.scale import Normaliser, make_normaliser
@@ -22,50 +25,158 @@ from rrm.rewards import LEARNERS
 from rrm.rewards.ensemble import EnsembleReward
 from rrm.rewards.residual import ResidualReward
 from rrm.seeding import Streams
+from rrm.sources.adversarial import Adversarial
+from rrm.sources.entropy import StateEntropy
+from rrm.sources.known import PriorAlone, TrueReward
+from rrm.sources.preferences import PreferenceReward
 from rrm.teachers.scripted import ScriptedTeacher
 from rrm.training.collect import PriorSource
 from rrm.training.config import RunConfig
-from rrm.training.imitate import Imitation
-from rrm.training.sessions import Sessions
+from rrm.training.phases import Phase
 
 #: Folders of earlier runs, by identity.
 Results = Mapping[str, Path]
 
+#: Makes the parts of a run, as `assemble` does.
+Assembled = Callable[[RunConfig, Streams, Results], "Parts"]
+
 DEMOS = "demos.safetensors"  #: what a run that collects demonstrations leaves behind
 
 
-def build_reward(config: RunConfig, generator: torch.Generator) -> RewardFunction:
-    """The learned reward: a residual on the prior where there is one, else a network alone."""
-    reward = ResidualReward if config.reward.prior is not None else EnsembleReward
-    spec = config.spec()
-    return reward(config.reward, spec.obs_dim, spec.act_dim, generator, config.precision)
+@dataclass(frozen=True, kw_only=True)
+class Parts:
+    """What a run is made of, beside its environments."""
+
+    agent: Agent
+    experience: Experience
+    replay: Replay
+    prior: PriorSource | None
+    phases: tuple[Phase, ...]  #: in their order; the first begins at step 0
 
 
-def build_sessions(
-    config: RunConfig, experience: Experience, streams: Streams, imitation: Imitation | None
-) -> Sessions | None:
-    """Learner, teacher and schedule of feedback; None where no preference trains the reward.
+def assemble(config: RunConfig, streams: Streams, results: Results) -> Parts:
+    """The parts of a run.
+
+    Args:
+        streams: of its random numbers.
+        results: folders of the runs that this one requires, by identity.
 
     Raises:
-        RrmError: the learner is unknown, or is a file of the user's that does not import.
+        RrmError: a name stands for nothing, a file of the user's does not import, or an earlier result is missing.
     """
-    if not config.reward.is_learned:
-        return None
-    assert config.feedback is not None  # the configuration has checked both
-    assert config.teacher is not None
-    learner: RewardLearner
-    if imitation is not None:
-        g = ImitatedReward(imitation.airl.discriminator.g)
-        learner = Finetune(g, config.reward, streams.numpy("reward"), imitation.log)
-    else:
+    spec = config.spec()
+    agent = build_agent(config, streams)
+    experience = Experience(config.steps, config.episode_steps, spec.obs_dim, spec.act_dim)
+    prior = build_prior(config, streams, results)
+    replay = Replay(experience, config.agent.batch, streams.torch("replay"))
+    phases = _Phases(config, streams, results, experience, replay).all()
+    return Parts(agent=agent, experience=experience, replay=replay, prior=prior, phases=phases)
+
+
+def build_agent(config: RunConfig, streams: Streams) -> Agent:
+    """The agent, untrained.
+
+    Raises:
+        ConfigError: this processor has no products of the precision asked for.
+    """
+    spec = config.spec()
+    agent: Agent = lookup(AGENTS, "agent", config.agent.kind)(
+        config.agent, spec.obs_dim, spec.act_dim, streams, precision=config.precision
+    )
+    return agent
+
+
+class _Phases:
+    """The phases of each kind of reward."""
+
+    def __init__(
+        self, config: RunConfig, streams: Streams, results: Results, experience: Experience, replay: Replay
+    ) -> None:
+        self._config = config
+        self._streams = streams
+        self._results = results
+        self._experience = experience
+        self._replay = replay
+
+    def all(self) -> tuple[Phase, ...]:
+        kind = self._config.reward.kind
+        if kind.demonstrated:
+            return self._from_demonstrations()
+        return self._known() if kind.known else self._from_preferences()
+
+    def _known(self) -> tuple[Phase, ...]:
+        source = (PriorAlone if self._config.reward.kind is PRIOR_ALONE else TrueReward)(self._replay)
+        return self._begun_by(source), Phase(name=source.name, begin=self._config.random_steps, source=source)
+
+    def _from_preferences(self) -> tuple[Phase, ...]:
+        """PEBBLE's: an unsupervised phase (none before a residual), and a fresh critic for the first reward."""
+        config, streams = self._config, self._streams
         learner_class = lookup(LEARNERS, "learner", config.reward.learner)
-        reward = build_reward(config, streams.torch("reward-init"))
-        learner = learner_class(reward, config.reward, streams.numpy("reward"))
-    return Sessions(
-        config, config.feedback,
-        experience=experience, learner=learner, rng=streams.numpy("query"),
-        teacher=ScriptedTeacher(config.teacher, streams.numpy("teacher")), unlabelled_rng=streams.numpy("unlabelled"),
-    )  # fmt: skip
+        reward = build_reward(config, streams)
+        source = self._preferences(learner_class(reward, config.reward, streams.numpy("reward")))
+        entropy = StateEntropy(source, self._experience, self._replay, config.exploration.neighbours)
+        return (
+            self._begun_by(source),
+            Phase(name="unsupervised", begin=config.random_steps, source=entropy),
+            Phase(
+                name=source.name, begin=config.first_session, source=source, reset_critic=True,
+                first_updates=config.exploration.reset_updates,
+            ),
+        )  # fmt: skip
+
+    def _from_demonstrations(self) -> tuple[Phase, ...]:
+        config = self._config
+        kept = not config.reward.kind.learned
+        source = Adversarial(
+            config.imitation, self._demonstrations(), self._replay,
+            discount=config.agent.discount, streams=self._streams, precision=config.precision,
+            about={"task": config.task, "seed": config.seed} if kept else None,
+        )  # fmt: skip
+        phases = self._begun_by(source), Phase(name=source.name, begin=config.random_steps, source=source)
+        if kept:
+            return phases
+        g = ImitatedReward(source.airl.discriminator.g)
+        tuned = self._preferences(Finetune(g, config.reward, self._streams.numpy("reward"), source.log))
+        updates = int(config.first_session % config.agent.update_every == 0)  # the agent learns on as it did
+        return *phases, Phase(name=tuned.name, begin=config.first_session, source=tuned, first_updates=updates)
+
+    def _begun_by(self, source: Any) -> Phase:
+        return Phase(name="random", begin=0, source=source, random=True)
+
+    def _preferences(self, learner: RewardLearner) -> PreferenceReward:
+        config, streams = self._config, self._streams
+        assert config.feedback is not None  # the configuration has checked both
+        assert config.teacher is not None
+        config.check_margin(learner.needs.margin)
+        teacher = ScriptedTeacher(config.teacher, streams.numpy("teacher"), self._experience)
+        return PreferenceReward(
+            config.feedback,
+            first=config.first_session, steps=config.steps, capacity=config.reward.capacity,
+            experience=self._experience, replay=self._replay, learner=learner, teacher=teacher,
+            rng=streams.numpy("query"), unlabelled_rng=streams.numpy("unlabelled"),
+        )  # fmt: skip
+
+    def _demonstrations(self) -> Demonstrations:
+        named = self._config.imitation.demos
+        path = Path(named) if named is not None else result_of(self._results, self._config.imitation.demos_run, DEMOS)
+        try:
+            demos = Demonstrations.load(path)
+        except DemosError as error:
+            if named is not None:
+                raise
+            raise MissingResultError(f"{error}: {again(path)}") from error
+        demos.check(self._config.spec(), str(path))
+        return demos
+
+
+def build_reward(config: RunConfig, streams: Streams) -> RewardFunction:
+    """The learned reward, untrained: a residual on the prior where there is one, g alone where that is fine-tuned, else
+    an ensemble alone.
+    """
+    kind, spec = ResidualReward if config.reward.prior is not None else EnsembleReward, config.spec()
+    if config.from_demonstrations:
+        return ImitatedReward(RewardNet(config.imitation, spec.obs_dim, spec.act_dim, None))
+    return kind(config.reward, spec.obs_dim, spec.act_dim, streams.torch("reward-init"), config.precision)
 
 
 def build_prior(config: RunConfig, streams: Streams, results: Results) -> PriorSource | None:
@@ -85,26 +196,6 @@ def build_prior(config: RunConfig, streams: Streams, results: Results) -> PriorS
 def _imitation(config: RunConfig, results: Results) -> ImitationPrior:
     path = result_of(results, config.reward.prior_run, "model.safetensors")
     return ImitationPrior(path, config.spec(), config.reward.squash)
-
-
-def build_imitation(config: RunConfig, experience: Experience, streams: Streams, results: Results) -> Imitation | None:
-    """Demonstrations and what is made of them; None for runs that do not begin with demonstrations.
-
-    Raises:
-        DemosError, MissingResultError: there are no demonstrations, or they do not suit the task.
-    """
-    if not config.from_demonstrations:
-        return None
-    named = config.imitation.demos
-    path = Path(named) if named is not None else result_of(results, config.imitation.demos_run, DEMOS)
-    try:
-        demos = Demonstrations.load(path)
-    except DemosError as error:
-        if named is not None:
-            raise
-        raise MissingResultError(f"{error}: {again(path)}") from error
-    demos.check(config.spec(), str(path))
-    return Imitation(config, demos, experience, streams)
 
 
 def result_of(results: Results, run: str | None, name: str) -> Path:

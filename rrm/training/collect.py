@@ -8,11 +8,10 @@ from typing import Any
 import numpy as np
 
 from rrm.envs import Task
-from rrm.interfaces import Floats
 from rrm.priors import evaluate_prior
 from rrm.priors.scale import Normaliser
 from rrm.priors.step import PriorStep, Scene
-from rrm.types import State
+from rrm.types import Floats, State
 
 
 class PriorSource:
@@ -44,12 +43,19 @@ class PriorSource:
         Raises:
             PriorError: the prior raised, or returned something else than one finite number.
         """
-        obs, act = _read_only(obs), _read_only(act)
-        scene = PriorStep(
-            task=self._task, obs=obs, act=act, info=info, rng=self._rng, first=Scene(self._task, self._first)
-        )
-        raw = evaluate_prior(self._prior, scene, f'prior "{self._name}" at step {step}')
+        raw = self._raw(obs, act, info, f'prior "{self._name}" at step {step}')
         return raw, self._normaliser(raw)
+
+    def look(self, obs: Floats, act: Floats, info: dict[str, Any]) -> float:
+        """The scaled prior of a step, at the scale as it is: nothing is learned from looking. Raises as a call does."""
+        return self._normaliser.scaled(self._raw(obs, act, info, f'prior "{self._name}"'))
+
+    def _raw(self, obs: Floats, act: Floats, info: dict[str, Any], where: str) -> float:
+        first = Scene(self._task, self._first)
+        step = PriorStep(
+            task=self._task, obs=_read_only(obs), act=_read_only(act), info=info, rng=self._rng, first=first
+        )
+        return evaluate_prior(self._prior, step, where)
 
     def state_dict(self) -> State:
         return {"normaliser": self._normaliser.state_dict(), "first": self._first}

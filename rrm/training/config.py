@@ -14,10 +14,10 @@ from typing import Any, ClassVar, Literal, Self, TypeVar
 from pydantic import model_validator
 
 from rrm.config import (
-    AIRL,
-    DEMONSTRATED,
     IMITATION,
-    KNOWN_REWARDS,
+    KINDS,
+    KNOWN,
+    PRIOR_ALONE,
     AgentConfig,
     Count,
     EvaluationConfig,
@@ -70,20 +70,20 @@ class RunConfig(Section):
         spec = task(self.task)
         if self.horizon is not None and self.horizon > spec.horizon:
             raise ConfigError(f"horizon: {self.horizon} steps is longer than {self.task}'s episode of {spec.horizon}")
-        names = (*LEARNERS, *KNOWN_REWARDS, AIRL)
+        names, kind = {*LEARNERS, *KINDS}, self.reward.kind
         if self.reward.learner not in names and not is_file_reference(self.reward.learner):
             raise UnknownNameError("learner", self.reward.learner, names)
         if is_file_reference(self.reward.learner):
             check_file(self.reward.learner, "learner")
         if self.reward.prior is not None:
-            if self.from_demonstrations:
+            if kind.prior == "refused":
                 raise ConfigError(f"reward.prior: the learner {self.reward.learner!r} takes no prior")
             check_prior(self.reward.prior, spec)
-        elif self.reward.learner == "prior":
+        elif kind.prior == "needed":
             raise ConfigError('reward.prior: the learner "prior" trains on a prior alone and needs one named')
         if self.reward.options and not is_file_reference(self.reward.learner):
             raise ConfigError(f"reward.options: the learner {self.reward.learner!r} takes none")
-        if self.reward.is_learned:
+        if kind.learned:
             self._feedback_can_be_met()
         elif self.random_steps + 1 >= self.steps:
             section = "imitation" if self.from_demonstrations else "exploration"
@@ -96,8 +96,8 @@ class RunConfig(Section):
     def _feedback_can_be_met(self) -> None:
         if self.feedback is None or self.teacher is None:
             raise ConfigError(f"feedback and teacher: the learner {self.reward.learner!r} needs both")
-        self.check_margin(self.reward.margin)
-        self._learner_fits(self.feedback.segment)
+        self.check_margin(self.reward.settings.needs().margin)
+        self.reward.settings.check(self.feedback.segment, self.agent.update_every)
         if self.from_demonstrations and self.first_session < self.random_steps + self.episode_steps:
             raise ConfigError(
                 f"imitation.switch: {self.first_session} comes before an episode beyond the "
@@ -117,17 +117,6 @@ class RunConfig(Section):
         if most > _MOST_SESSIONS:
             raise ConfigError(f"feedback.every: {most:,} sessions; a run has at most {_MOST_SESSIONS:,}")
 
-    def _learner_fits(self, segment: int) -> None:
-        surf, every, updates = self.reward.surf, self.reward.mrn.every, self.agent.update_every
-        longest = min(2 * surf.margin, segment - 1)
-        if self.reward.learner == "surf" and surf.crop > longest:
-            raise ConfigError(
-                f"reward.surf.crop: {surf.crop} steps more or less; {longest} at the most with segments of {segment} "
-                f"between margins of {surf.margin}"
-            )
-        if self.reward.learner == "mrn" and every % updates:
-            raise ConfigError(f"reward.mrn.every: {every} is not a multiple of agent.update_every, {updates}")
-
     def check_margin(self, margin: int) -> None:
         """Refuse segments that, with `margin` steps more on either side, are longer than an episode.
 
@@ -144,7 +133,7 @@ class RunConfig(Section):
     @property
     def from_demonstrations(self) -> bool:
         """True for runs that begin with demonstrations, up to `first_session` where preferences follow."""
-        return self.reward.learner in DEMONSTRATED
+        return self.reward.kind.demonstrated
 
     @property
     def requires(self) -> tuple[str, ...]:
@@ -162,7 +151,7 @@ class RunConfig(Section):
         explore = self.exploration
         if self.from_demonstrations:
             return self.imitation.seed_steps
-        if not self.reward.is_learned:
+        if not self.reward.kind.learned:
             return explore.seed_steps
         return max(explore.seed_steps, 2 * self.episode_steps - explore.unsupervised_steps)
 
@@ -177,9 +166,9 @@ class RunConfig(Section):
     def method(self) -> str:
         """The method's name in tables: oracle, pebble, rrm-proxy, rrm-surf-proxy, sac-proxy."""
         learner, prior = _short(self.reward.learner), _short(self.reward.prior or "")
-        if learner == "true":
+        if self.reward.kind is KNOWN:
             return "oracle"
-        if learner == "prior":
+        if self.reward.kind is PRIOR_ALONE:
             return f"sac-{prior}"
         if not prior:
             return learner
@@ -195,9 +184,9 @@ class RunConfig(Section):
         changes: dict[str, Any] = {"imitation": self._canonical_imitation()}
         if reward.prior != IMITATION:
             reward = _defaulted(reward, "prior_run", "squash")
-        if not reward.is_learned:
+        if not reward.kind.learned:
             keep = ("learner", "prior", "normaliser", "prior_run", "squash")
-            kept = {name: getattr(reward, name) for name in (keep if reward.learner == "prior" else keep[:1])}
+            kept = {name: getattr(reward, name) for name in (keep if reward.kind is PRIOR_ALONE else keep[:1])}
             reward = RewardConfig(**kept)
             changes |= {"feedback": None, "teacher": None}
             changes["exploration"] = ExplorationConfig(seed_steps=explore.seed_steps)
@@ -225,7 +214,7 @@ class RunConfig(Section):
         if not self.from_demonstrations:
             return ImitationConfig()
         imitation = _defaulted(imitation, "steps", "episodes", "expert_success", "demos_digest")
-        if self.reward.learner == AIRL:
+        if not self.reward.kind.learned:
             imitation = _defaulted(imitation, "switch")
         if imitation.demos is not None:
             digest = file_digest(Path(imitation.demos), "imitation.demos")
@@ -270,7 +259,7 @@ class RunConfig(Section):
 
     def _session_sizes(self) -> list[int]:
         sizes: list[int] = []
-        if not self.reward.is_learned or self.feedback is None:
+        if not self.reward.kind.learned or self.feedback is None:
             return sizes
         asked = 0
         for step in range(self.first_session, self.steps, self.feedback.every):
@@ -288,9 +277,8 @@ def _idle(reward: RewardConfig) -> Iterator[str]:
     if reward.bound == "tanh":
         yield "penalty"
     if not is_file_reference(reward.learner):
-        yield from (name for name in ("surf", "mrn") if name != reward.learner)
-    if reward.learner == "surf":
-        yield "target_accuracy"
+        yield from (name for name in reward.own() if name != reward.learner)
+    yield from reward.settings.ignores
 
 
 def _defaulted(section: _S, *fields: str) -> _S:

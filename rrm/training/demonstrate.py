@@ -9,14 +9,15 @@ from typing import Any
 
 import numpy as np
 
-from rrm.agents.sac import Sac
 from rrm.checkpoint import again, read_networks
 from rrm.envs import make
 from rrm.errors import DemosError, MissingResultError
 from rrm.imitation.demos import Demonstrations
-from rrm.interfaces import Env, Floats
+from rrm.interfaces import Env
 from rrm.seeding import Streams
+from rrm.training.build import build_agent
 from rrm.training.config import RunConfig
+from rrm.types import Floats
 
 Policy = Callable[[Floats], Floats]
 
@@ -31,8 +32,7 @@ def expert_policy(config: RunConfig, model: Path) -> Policy:
     Raises:
         MissingResultError: the networks are missing or damaged.
     """
-    spec = config.spec()
-    agent = Sac(config.agent, spec.obs_dim, spec.act_dim, Streams(config.seed), precision=config.precision)
+    agent = build_agent(config, Streams(config.seed))
     networks = read_networks(model, "the expert's networks")
     if "agent" not in networks:
         raise MissingResultError(f"{model} does not hold the expert's networks: {again(model)}")

@@ -2,21 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from rrm.config import EvaluationConfig
 from rrm.interfaces import Agent, Env
 from rrm.seeding import evaluation_seed
-
-
-@dataclass(frozen=True)
-class Evaluation:
-    """What a policy is worth: means over the episodes."""
-
-    true_return: float
-    success: float  #: share of the episodes; NaN where the task has no success criterion
+from rrm.types import Evaluation
 
 
 def evaluate(agent: Agent, env: Env, config: EvaluationConfig, *, seed: int, step: int) -> Evaluation:

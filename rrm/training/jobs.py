@@ -1,11 +1,13 @@
-"""Jobs: what a process is given to do. Two kinds: training a policy, and collecting demonstrations of one."""
+"""Jobs: what a process is given to do. `rrm.training.kinds` has the table: training a policy, or collecting
+demonstrations of one.
+"""
 
 from __future__ import annotations
 
 import shutil
 import time
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager
 from pathlib import Path
 from types import MappingProxyType
@@ -14,13 +16,15 @@ from typing import Any, Protocol
 import torch
 
 from rrm.checkpoint import KEPT, Checkpoints, check_finite, encode
-from rrm.errors import NumericalError, PriorError
+from rrm.errors import NumericalError, PriorError, WaitingError
 from rrm.files import make_folder, write_atomically
-from rrm.training.build import DEMOS, Results, result_of
+from rrm.registry import lookup
+from rrm.training.build import DEMOS, Assembled, Results, assemble, result_of
 from rrm.training.config import RunConfig
 from rrm.training.demonstrate import demonstrate, expert_policy
 from rrm.training.demos import DemosConfig
 from rrm.training.fingerprint import fingerprint
+from rrm.training.kinds import JOBS, JobConfig
 from rrm.training.loop import Trainer
 from rrm.types import EvalRow, State
 
@@ -55,15 +59,15 @@ class Monitor(Protocol):
         """Around every write into the job's folder; entering it raises where the folder belongs to another by now."""
 
 
-def perform(config: RunConfig | DemosConfig, folder: Path, monitor: Monitor, results: Results = _NOTHING) -> bool:
+def perform(config: JobConfig, folder: Path, monitor: Monitor, results: Results = _NOTHING) -> bool:
     """Do the job in `folder`, or go on with it; see `train` and `collect`.
 
     Args:
         results: folders of the runs that this one requires, by identity.
     """
-    if isinstance(config, DemosConfig):
-        return collect(config, folder, monitor, results)
-    return train(config, folder, monitor, results)
+    does = lookup({config.kind: JOBS[config.kind].perform}, "kind of job", config.kind)
+    finished: bool = does(config, folder, monitor, results)
+    return finished
 
 
 def collect(config: DemosConfig, folder: Path, monitor: Monitor, results: Results) -> bool:
@@ -99,18 +103,25 @@ def collect(config: DemosConfig, folder: Path, monitor: Monitor, results: Result
 
 
 def train(
-    config: RunConfig, folder: Path, monitor: Monitor, results: Results = _NOTHING, *, checkpoint_every_s: float = 120.0
+    config: RunConfig,
+    folder: Path,
+    monitor: Monitor,
+    results: Results = _NOTHING,
+    *,
+    checkpoint_every_s: float = 120.0,
+    assembled: Assembled = assemble,
 ) -> bool:
     """Train from the newest checkpoint in `folder`, or from the start, to the end of the run.
 
     A checkpoint is written after every evaluation and at least every `checkpoint_every_s` seconds; when they are
     written has no influence on the numbers. A finished run leaves its networks in `folder/model.safetensors` and no
-    checkpoint.
+    checkpoint. `assembled` makes the run's parts, for those who try one of their own.
 
     Returns:
         True when the run is finished; False when it was told to stop and can be continued.
 
     Raises:
+        WaitingError: it cannot go on before something has come from outside; it is checkpointed.
         RrmError: what the run was given cannot be run (a prior that fails, numbers that are not finite).
         OSError: a checkpoint could not be written; the ones before are intact.
     """
@@ -118,15 +129,15 @@ def train(
     checkpoints = Checkpoints(folder / "checkpoint")
     with monitor.writing():  # what is damaged is set aside
         make_folder(checkpoints.folder)
-        trainer = _restore(config, results, checkpoints, monitor)
+        trainer = _restore(lambda: Trainer(config, results, assembled), checkpoints, monitor)
     monitor.restored(trainer.rows)
     try:
         finished = _Session(trainer, checkpoints, monitor, checkpoint_every_s).run()
         if finished:
-            networks = trainer.networks()
+            left = trainer.legacy()
             with monitor.writing():
-                write_atomically(folder / "model.safetensors", encode(networks))
-            _tell(networks["imitation"], monitor)
+                write_atomically(folder / "model.safetensors", encode(left))
+            _tell(left.get("imitation"), monitor)
     finally:
         trainer.close()
     if finished:
@@ -149,14 +160,14 @@ def _worth(told: Mapping[str, Any]) -> str:
     return f"{success}mean return {told['true_return']:,.1f}"
 
 
-def _restore(config: RunConfig, results: Results, checkpoints: Checkpoints, monitor: Monitor) -> Trainer:
-    trainer = Trainer(config, results)
+def _restore(fresh: Callable[[], Trainer], checkpoints: Checkpoints, monitor: Monitor) -> Trainer:
+    trainer = fresh()
 
     def restore(state: State) -> None:
         nonlocal trainer
         if trainer.experience.transitions:  # a checkpoint that turned out damaged half-way through
             trainer.close()
-            trainer = Trainer(config, results)
+            trainer = fresh()
         trainer.load(checkpoints.folder, state)
 
     step = checkpoints.load(restore)
@@ -168,7 +179,7 @@ def _restore(config: RunConfig, results: Results, checkpoints: Checkpoints, moni
     elif checkpoints.skipped:
         monitor.note("no usable checkpoint is left: starting again from step 0")
         trainer.close()
-        trainer = Trainer(config, results)
+        trainer = fresh()
     return trainer
 
 
@@ -194,6 +205,9 @@ class _Session:
             step = self.trainer.step
             where = "" if f"step {step}" in str(error) else f"at step {step:,}; "
             raise type(error)(f"{error} ({where}{last})") from error
+        except WaitingError:
+            self._save()
+            raise
 
     def _run(self) -> bool:
         trainer, config = self.trainer, self.trainer.config
@@ -202,10 +216,8 @@ class _Session:
             trainer.advance()
             if trainer.step % config.evaluation.every == 0 or trainer.step == config.steps:
                 self.monitor.row(trainer.evaluate())
-                self._log_figures()
-                if trainer.imitation is not None:
-                    with self.monitor.writing():
-                        trainer.imitation.publish(self.checkpoints.folder.parent)
+                with self.monitor.writing():
+                    trainer.publish(self.checkpoints.folder.parent)
                 self._save()
             now = time.monotonic()
             if now - beat_at >= _BEAT_S:
@@ -218,13 +230,6 @@ class _Session:
         if trainer.step < config.steps and self._saved_step != trainer.step:
             self._save()
         return trainer.step == config.steps
-
-    def _log_figures(self) -> None:
-        sessions = self.trainer.sessions
-        figures = {} if sessions is None else sessions.learner.metrics()
-        if figures:
-            told = ", ".join(f"{name} {value:.4g}" for name, value in figures.items())
-            self.monitor.log(f"step {self.trainer.step}: {told}")
 
     def _save(self) -> None:
         trainer = self.trainer

@@ -88,7 +88,7 @@ def _say(message: str, hint: str | None) -> None:
     """Print to standard error: in colour where somebody looks at a terminal that wants it, plain text elsewhere."""
     from rich.text import Text
 
-    error = console(stderr=True, highlight=False, soft_wrap=True)
+    error = console(stderr=True, soft_wrap=True)
     error.print(Text.assemble(("error: ", "bold red"), message))
     if hint:
         error.print(Text.assemble(("hint: ", "bold cyan"), hint))

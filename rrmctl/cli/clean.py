@@ -9,6 +9,7 @@ import typer
 
 from rrmctl.cli.options import DEFAULT_RESULTS, ResultsOption
 from rrmctl.cli.progress import runs
+from rrmctl.labels import Label
 
 if TYPE_CHECKING:
     from rrmctl.store.layout import RunFolder
@@ -47,8 +48,8 @@ def _described(folder: RunFolder) -> str:
         config = read_config(folder)
     except UserError as error:
         return str(error)
-    names = (config["profile"], config["task"], config["method"], f"seed {config['seed']}")
-    return f"{' '.join(map(str, names))}: {run_status(folder).state}"
+    label = Label(config["task"], config["method"]).seeded(config["seed"])
+    return f"{config['profile']} {label}: {run_status(folder).state}"
 
 
 def _size(folder: Path) -> int:

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 from rrmctl.cli.screen import tell
 from rrmctl.commands import rrmctl
 from rrmctl.errors import Exit, UserError
+from rrmctl.labels import Label
 
 if TYPE_CHECKING:
     from rrmctl.planning.plan import Plan
@@ -103,12 +104,10 @@ def until_decided(layout: Layout, plan: Plan, rules: Rules, execute: Execute) ->
 
 def _trial(plan: Plan, rules: Rules) -> Trial:
     from rrmctl.reports.contests import against
-    from rrmctl.reports.series import Label
     from rrmctl.stats import Design
     from rrmctl.store.trials import Trial
 
-    labels = (Label(job.task, job.method, job.teacher, job.feedback) for job in plan.jobs)
-    pairs = tuple(against(labels, rules.against))
+    pairs = tuple(against((job.row for job in plan.jobs), rules.against))
     return Trial(group=rules.group, looks=rules.most // rules.group, alpha=Design().alpha, pairs=pairs)
 
 
@@ -116,11 +115,10 @@ def _part(plan: Plan, seeds: Iterable[int], pairs: Iterable[Pairing]) -> Plan:
     """The jobs of these seeds that the pairs need, and what those need."""
     from rrmctl.store.sweeps import required
 
-    wanted = {(pair.task, *asked, method) for pair in pairs for method in (pair.method, pair.against)
-              for asked in ((pair.teacher, pair.feedback), ("-", "-"))}  # fmt: skip
+    wanted = {Label(pair.task, method, *asked) for pair in pairs for method in (pair.method, pair.against)
+              for asked in ((pair.teacher, pair.feedback), ())}  # fmt: skip
     chosen = set(seeds)
-    jobs = [job for job in plan.jobs if job.seed in chosen
-            and (job.task, job.teacher, job.feedback, job.method) in wanted]  # fmt: skip
+    jobs = [job for job in plan.jobs if job.seed in chosen and job.row in wanted]
     needed = required(jobs, plan.everything)
     return replace(plan, jobs=tuple(jobs), needed=tuple(job for job in plan.needed if job.id in needed))
 
@@ -154,8 +152,7 @@ def _tell(found: Contests, look: int, seeds: int) -> None:
 
 
 def _name(pair: Pairing) -> str:
-    asked = [word for word in (pair.teacher, pair.feedback) if word != "-"]
-    where = f"{pair.task} ({', '.join(asked)})" if asked else pair.task
+    where = Label(pair.task, pair.method, pair.teacher, pair.feedback).place
     return f"{where}, {pair.method} against {pair.against}"
 
 

@@ -6,8 +6,9 @@ from typing import Annotated
 
 import typer
 
-from rrmctl.errors import UserError
 from rrmctl.reports.kinds import explained, kinds
+from rrmctl.reports.shelf import choose
+from rrmctl.terminal import stdout_console
 
 
 def explain(
@@ -18,13 +19,11 @@ def explain(
     """What the columns of tables mean and how their numbers are made; notes below a table say what is otherwise."""
     from rich.text import Text
 
-    from rrmctl.planning.manifest import nearest
-    from rrmctl.reports.render import console_for
+    from rrmctl.reports.render import WIDE
 
-    known = kinds()
-    if table not in (None, *known):
-        raise UserError(f'there is no table "{table}"{nearest(str(table), known)}', f"there are: {', '.join(known)}")
-    console = console_for()
+    if table is not None:
+        choose(kinds(), table, "table")
+    console = stdout_console(WIDE)
     for title, sentences in explained(table).items():
         console.print(Text(title, style="bold"))
         console.print(*map(Text, sentences), "", sep="\n")

@@ -10,8 +10,8 @@ import typer
 from rrm.files import place
 from rrmctl.cli.options import DEFAULT_RESULTS, ResultsOption
 from rrmctl.cli.screen import tell
-from rrmctl.errors import UserError
 from rrmctl.export.formats import formats
+from rrmctl.reports.shelf import choose
 
 
 def _told() -> str:
@@ -38,13 +38,10 @@ def export(
     their state. Exporting again replaces what was exported: nothing doubles.
     """
     from rrmctl.export.bundle import read
-    from rrmctl.planning.manifest import nearest
 
-    known = formats()
-    if to not in known:
-        raise UserError(f'there is no format "{to}"{nearest(to, known)}', f"there are: {', '.join(known)}")
+    form = choose(formats(), to, "format")
     bundle = read(results, Path(name).stem if name.endswith(".toml") else name, profile)
     if not bundle.begun:
         tell(f"note: none of the {len(bundle.runs)} planned runs has an evaluation yet", err=True)
-    written = known[to].load().write(bundle, output)
+    written = form.load().write(bundle, output)
     tell(f"{output}: {len(bundle.begun)} of {len(bundle.runs)} planned runs, {len(written)} files")

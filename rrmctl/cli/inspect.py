@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import sys
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -22,11 +21,9 @@ from rrmctl.cli.options import (
 )
 from rrmctl.cli.request import Forecast, Request, duration, forecast, in_words, smaller
 from rrmctl.errors import Exit, UserError
-from rrmctl.terminal import console
+from rrmctl.terminal import stdout_console
 
 if TYPE_CHECKING:
-    from rich.console import Console
-
     from rrmctl.planning.manifest import Manifest
     from rrmctl.planning.plan import Job, Plan
 
@@ -60,10 +57,11 @@ def list_(experiments: ExperimentsOption = None, as_json: JsonOption = False) ->
         for entry in good:
             figures = ", ".join(entry["reproduces"])
             table.add_row(entry["name"], figures, str(entry["jobs"]), entry["profile"], entry["title"])
-        _console().print(table)
-        _console().print(vocabulary())
+        console = stdout_console(soft_wrap=True)
+        console.print(table)
+        console.print(vocabulary())
         for name in replaced(found):
-            _console().print(f"note: {name} is {found[name]}, in place of the one that comes with rrmctl")
+            console.print(f"note: {name} is {found[name]}, in place of the one that comes with rrmctl")
     if bad:
         raise UserError("\n".join(bad))
 
@@ -114,7 +112,7 @@ def plan(
     if as_json:
         typer.echo(json.dumps(_as_json(expected), indent=2))
         return
-    console = _console()
+    console = stdout_console(soft_wrap=True)
     manifest = planned.manifest
     console.print(f"{planned.experiment}: {manifest.title}", style="bold")
     console.print(f"makes {', '.join(manifest.reproduces)}; {manifest.rule}")
@@ -146,7 +144,7 @@ def _table(expected: Forecast, *, each: bool) -> Any:
     table.add_column("core time each", justify="right")
     groups: dict[tuple[str, str, str, str], list[Job]] = {}
     for job in expected.plan.everything:
-        groups.setdefault((job.task, job.method, job.teacher, job.feedback), []).append(job)
+        groups.setdefault(job.row, []).append(job)
     for names, jobs in groups.items():
         common = (*names, f"{jobs[0].config.steps:,}")
         states = [str(expected.states[job.id].state) for job in jobs]
@@ -171,8 +169,8 @@ def _as_json(expected: Forecast) -> dict[str, Any]:
 
 def _job_as_json(expected: Forecast, job: Job) -> dict[str, Any]:
     return {
-        "id": job.id, "cell": job.config.cell, "task": job.task, "method": job.method, "teacher": job.teacher,
-        "feedback": job.feedback, "seed": job.seed, "steps": job.config.steps, "requires": list(job.config.requires),
+        "id": job.id, "cell": job.config.cell, **job.row._asdict(), "seed": job.seed, "steps": job.config.steps,
+        "requires": list(job.config.requires),
         "state": str(expected.states[job.id].state), "core_seconds": expected.cost.seconds[job.id],
     }  # fmt: skip
 
@@ -193,7 +191,7 @@ def doctor(
 
     from rrmctl.doctor import examine
 
-    console = _console()
+    console = stdout_console(soft_wrap=True)
     found = []
     for check in examine(results, experiments):
         found.append(check)
@@ -207,12 +205,3 @@ def doctor(
     else:
         console.print(f"\n{len(missing)} missing; see the fixes above." if missing else "\nReady.")
     raise typer.Exit(Exit.FAILED if missing else Exit.DONE)
-
-
-def _console() -> Console:
-    """Standard output; unlimited in width where it is read by a program, so that no name is cut.
-
-    Texts of manifests are shown as they are: neither brackets nor colons in them mean anything.
-    """
-    width = None if sys.stdout.isatty() else 200
-    return console(width=width, highlight=False, soft_wrap=True, markup=False, emoji=False)

@@ -88,14 +88,17 @@ class Lines:
         self.console.print(line.append(text, style), soft_wrap=True)
 
     def _failed(self, job: str, error: RunError, phase: Phase) -> None:
+        if error.kind is ErrorKind.WAITING:
+            self.say(job, f"waits for {error}", style="yellow")
+            return
         after = {Phase.WAITING: "will be tried again", Phase.FAILED: "failed"}.get(phase, "stopped")
         self.say(job, f"{after}: {error}", style="red")
         folder = self._layout.run(job)
         if error.kind in (ErrorKind.REFUSED, ErrorKind.STORAGE, ErrorKind.MISSING):
             return  # the message says it all
         for line in log_tail(folder):
-            self.console.print(f"    {line}", style="dim", markup=False, highlight=False, soft_wrap=True)
-        self.console.print(f"    log: {folder.log}", style="dim", markup=False, highlight=False, soft_wrap=True)
+            self.console.print(f"    {line}", style="dim", soft_wrap=True)
+        self.console.print(f"    log: {folder.log}", style="dim", soft_wrap=True)
 
 
 class Bars(Lines):

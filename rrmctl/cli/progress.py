@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import statistics
 from collections import Counter, defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -16,7 +15,7 @@ if TYPE_CHECKING:
     from rrmctl.store.sweeps import JobRecord, SweepRecord
 
 #: States in the order in which they are shown.
-STATES = ("done", "running", "interrupted", "queued", "failed", "blocked", "unreadable")
+STATES = ("done", "running", "interrupted", "waiting", "queued", "failed", "blocked", "unreadable")
 
 #: States in which nothing is left to be done, or can be.
 OVER = ("done", "failed", "blocked")
@@ -56,6 +55,8 @@ class Group:
     @cached_property
     def seconds_left(self) -> float | None:
         """Seconds of one core that the open runs still take; None where nothing like one of them has run yet."""
+        from rrmctl.store.speeds import speeds
+
         rates = speeds(self.jobs, self.states) if self.rates is None else self.rates
         total = 0.0
         for job in self.jobs:
@@ -93,26 +94,16 @@ def group_by_sweep(sweeps: Iterable[SweepRecord], states: Mapping[str, Status]) 
 
 def group_by_row(sweeps: Iterable[SweepRecord], states: Mapping[str, Status]) -> list[Group]:
     """One group for each row of the grid of each variant: all seeds of it."""
+    from rrmctl.store.speeds import speeds
+
     groups = []
     for sweep in sweeps:
         rates = speeds(sweep.everything, states)
         rows: defaultdict[tuple[str, ...], list[JobRecord]] = defaultdict(list)
         for job in sweep.everything:
-            words = (job.task, job.method, job.teacher, job.feedback)
-            rows[sweep.variant, *(word for word in words if word not in ("", "-"))].append(job)
+            rows[sweep.variant, *job.row.words].append(job)
         groups += [Group("  ".join(names), jobs, states, rates, "row") for names, jobs in rows.items()]
     return groups
-
-
-def speeds(jobs: Iterable[JobRecord], states: Mapping[str, Status]) -> dict[tuple[str, str], float]:
-    """The median speed of what has run so far, by task and method; evaluation is counted in where a row says so."""
-    seen: defaultdict[tuple[str, str], list[float]] = defaultdict(list)
-    for job in jobs:
-        status = states[job.id]
-        speed = status.step / status.wall_s if status.state == "done" and status.wall_s else status.steps_per_s
-        if speed:
-            seen[job.task, job.method].append(speed)
-    return {key: statistics.median(values) for key, values in seen.items()}
 
 
 def errors(jobs: Iterable[JobRecord], states: Mapping[str, Status]) -> dict[str, list[JobRecord]]:

@@ -16,7 +16,8 @@ from rrmctl.cli.screen import tell
 from rrmctl.errors import UserError
 from rrmctl.reports.figures import figures
 from rrmctl.reports.kinds import kinds
-from rrmctl.terminal import spelled
+from rrmctl.reports.shelf import choose
+from rrmctl.terminal import spelled, stdout_console
 
 if TYPE_CHECKING:
     from rrmctl.reports.series import Section
@@ -114,7 +115,7 @@ def _table(entry: Entry) -> Callable[..., None]:
         allow_mixed: MixedOption = False,
         plus_minus: PlusMinusOption = False,
     ) -> None:
-        from rrmctl.reports.render import console_for, print_terminal, to_text
+        from rrmctl.reports.render import WIDE, print_terminal, to_text
         from rrmctl.reports.select import of_profile, read_sections
         from rrmctl.reports.settings import Settings
 
@@ -125,7 +126,7 @@ def _table(entry: Entry) -> Callable[..., None]:
         if output is not None:
             _write(output, to_text(shown, form.value).encode())
         elif form is Format.TERMINAL:
-            print_terminal(shown, console_for())
+            print_terminal(shown, stdout_console(WIDE))
         else:
             typer.echo(spelled(to_text(shown, form.value)), nl=False)
 
@@ -180,7 +181,8 @@ def plot(
     from rrmctl.reports.select import of_profile, read_sections
     from rrmctl.reports.settings import Settings
 
-    drawn = {figure: entry.load() for figure, entry in _chosen(wanted).items()}
+    known = figures()
+    drawn = {figure: choose(known, figure, "figure").load() for figure in wanted or known}
     settings = Settings(kind=kind.value, replicates=replicates, width=width.value)
     found = read_sections(results, _stem(name), allow_mixed=allow_mixed)
     for section in _with_runs(of_profile(found, profile)):
@@ -214,21 +216,6 @@ def _with_runs(sections: Sequence[Section]) -> list[Section]:
         if not section.contained:
             tell(f"note: {section.experiment}, profile {section.profile}: no run to draw yet", err=True)
     return [section for section in sections if section.contained]
-
-
-def _chosen(wanted: Sequence[str] | None) -> dict[str, Entry]:
-    """The figures of these names, or all.
-
-    Raises:
-        UserError: there is no figure of a name.
-    """
-    from rrmctl.planning.manifest import nearest
-
-    known = figures()
-    for name in wanted or ():
-        if name not in known:
-            raise UserError(f'there is no figure "{name}"{nearest(name, known)}', f"there are: {', '.join(known)}")
-    return {name: known[name] for name in wanted or known}
 
 
 def _figure_name(section: Section, figure: str, width: Across) -> str:

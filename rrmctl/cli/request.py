@@ -83,11 +83,12 @@ def forecast(plan: Plan, layout: Layout) -> Forecast:
     Raises:
         UserError: a sweep record is damaged.
     """
-    from rrmctl.planning.cost import estimate, stored_rates
+    from rrmctl.planning.cost import estimate
     from rrmctl.store.reader import statuses
+    from rrmctl.store.speeds import stored_speeds
 
     states = statuses(layout, plan.everything)
-    return Forecast(plan, states, estimate(plan, stored_rates(layout, states)))
+    return Forecast(plan, states, estimate(plan, stored_speeds(layout, states)))
 
 
 def job_record(job: Job) -> JobRecord:
@@ -95,8 +96,8 @@ def job_record(job: Job) -> JobRecord:
     from rrmctl.store.sweeps import JobRecord
 
     return JobRecord(
-        id=job.id, cell=job.config.cell, task=job.task, method=job.method, teacher=job.teacher, feedback=job.feedback,
-        seed=job.seed, steps=job.config.steps, requires=job.requires,
+        id=job.id, cell=job.config.cell, **job.row._asdict(), seed=job.seed, steps=job.config.steps,
+        requires=job.requires,
     )  # fmt: skip
 
 

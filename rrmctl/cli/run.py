@@ -103,7 +103,7 @@ def run(
     from rrmctl.store.reader import new_results, statuses
     from rrmctl.store.sweeps import readable_sweeps
 
-    console = _progress_console()
+    screen = console(unfailing(sys.stderr))
     rules = asked_rules(until, max_seeds, group, against, other=seeds is not None or force)
     seeds = str(rules.most) if rules else seeds
     request = Request(name, experiments, profile, seeds, tasks, methods, overrides, prior)
@@ -112,29 +112,29 @@ def run(
     note_damage(readable_sweeps(layout)[1])
     slots = workers or _default_slots(job.config.threads for job in plan.everything)
     expected = forecast(plan, layout)
-    introduce(console, request, from_nothing(expected) if force else expected, slots)
+    introduce(screen, request, from_nothing(expected) if force else expected, slots)
     if rules:
-        console.print(f"  note: at most; what is decided after a group of {rules.group} seeds runs no more of them")
+        screen.print(f"  note: at most; what is decided after a group of {rules.group} seeds runs no more of them")
     anew = {job.id for job in plan.jobs} if force else set()
 
     def wanted(job: Job, status: Status) -> bool:
         return job.id in anew or _is_open(status, retry_failed=retry_failed)
 
     def execute(part: Plan) -> tuple[Exit, SweepRecord]:
-        sweep, states = _record(console, layout, part), statuses(layout, part.everything)
+        sweep, states = _record(screen, layout, part), statuses(layout, part.everything)
         assigned = [
             _assignment(job_record(job), states[job.id], job.config.threads, fresh=job.id in anew)
             for job in part.everything
             if wanted(job, states[job.id])
         ]
-        return _run(console, layout, assigned, slots, memory, hang_after), sweep
+        return _run(screen, layout, assigned, slots, memory, hang_after), sweep
 
-    drain(console.file)
+    drain(screen.file)
     large = expected.hours_left > LARGE_H and any(wanted(job, expected.states[job.id]) for job in plan.everything)
     if large and not yes and _asks() and not typer.confirm("Start?", err=True):
         raise typer.Exit(Exit.INCOMPLETE)
     code, sweep = until_decided(layout, plan, rules, execute) if rules else execute(plan)
-    drain(console.file)
+    drain(screen.file)
     finish(layout, code, [sweep], closing=plan.manifest.closing)
 
 
@@ -159,7 +159,7 @@ def resume(
     from rrmctl.store.reader import find_sweeps, open_results, statuses
     from rrmctl.store.sweeps import readable_sweeps
 
-    console = _progress_console()
+    screen = console(unfailing(sys.stderr))
     layout = open_results(results)
     sweeps, damage = readable_sweeps(layout) if name is None else (find_sweeps(layout, name), [])
     note_damage(damage)
@@ -172,17 +172,17 @@ def resume(
     for sweep in sweeps:
         count = sum(_is_open(states[job.id], retry_failed=retry_failed) for job in sweep.everything)
         total = runs(len(sweep.everything))
-        console.print(f"{sweep.experiment} ({sweep.variant}): {count} of {total} to go", soft_wrap=True)
+        screen.print(f"{sweep.experiment} ({sweep.variant}): {count} of {total} to go", soft_wrap=True)
     gone = unconfigured(layout, chosen)
     for command in remaking_commands(layout, sweeps, gone, states):
-        console.print(f"configurations are missing; this makes them, and the runs: {command}", soft_wrap=True)
+        screen.print(f"configurations are missing; this makes them, and the runs: {command}", soft_wrap=True)
     assigned = [
         _assignment(job, states[job.id], _threads(layout, job), fresh=False) for job in chosen if job.id not in gone
     ]
     require_trust(results, _code(layout, chosen), trust=trust, asks=_asks())
     slots = workers or _default_slots(job.threads for job in assigned)
-    code = _run(console, layout, assigned, slots, memory, hang_after)
-    drain(console.file)
+    code = _run(screen, layout, assigned, slots, memory, hang_after)
+    drain(screen.file)
     finish(layout, code, sweeps, damaged=bool(damage or gone))
 
 
@@ -217,7 +217,7 @@ def _record(console: Console, layout: Layout, plan: Plan) -> SweepRecord:
     # Until the record named them, a `clean` may have removed some.
     notes += _configure(layout, (job for job in plan.everything if not layout.run(job.id).config.exists()))
     for note in filter(None, notes):
-        console.print(f"note: {note}", markup=False, soft_wrap=True)
+        console.print(f"note: {note}", soft_wrap=True)
     return asked
 
 
@@ -270,24 +270,24 @@ def _run(
 ) -> Exit:
     """Run the jobs, shown as bars at a terminal and as lines elsewhere."""
     from rrmctl.cli.live import Bars, Lines
+    from rrmctl.running.local import LocalExecutor
     from rrmctl.running.pool import Pool
 
     if not assigned:
         return Exit.DONE
-    pool = partial(
-        Pool, layout=layout, assignments=assigned, slots=slots, asked=["rrmctl", *sys.argv[1:]],
+    executor = LocalExecutor(
+        layout=layout,
         memory_limit=None if memory_gib is None else int(memory_gib * 2**30),
         hang_after_s=hang_after_min * 60.0,
+    )
+    pool = partial(
+        Pool, layout=layout, assignments=assigned, slots=slots, executor=executor, asked=["rrmctl", *sys.argv[1:]]
     )  # fmt: skip
     if not sys.stderr.isatty() or console.is_dumb_terminal:
         return pool(watcher=Lines(console, layout, assigned)).run()
     bars = Bars(console, layout, assigned)
     with bars.progress:
         return pool(watcher=bars).run()
-
-
-def _progress_console() -> Console:
-    return console(file=unfailing(sys.stderr), highlight=False, markup=False, emoji=False)
 
 
 def _asks() -> bool:

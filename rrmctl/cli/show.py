@@ -11,8 +11,10 @@ import typer
 
 from rrmctl.cli.again import rerun_command
 from rrmctl.cli.options import DEFAULT_RESULTS, ResultsOption
-from rrmctl.cli.state import console_for_tables, note_damage
+from rrmctl.cli.state import note_damage
 from rrmctl.errors import UserError
+from rrmctl.store.schema import IDENTITY, MEASURED
+from rrmctl.terminal import stdout_console
 
 if TYPE_CHECKING:
     from rrmctl.store.layout import Layout, RunFolder
@@ -36,11 +38,11 @@ def show(
         plain = json.loads(json.dumps(known), parse_constant=lambda _: None)  # what is no number is null
         typer.echo(json.dumps(plain, indent=1, allow_nan=False))
         return
-    console = console_for_tables()
+    console = stdout_console()
     for title, text in _sections(known).items():
         if text:
             console.print(title, style="bold")
-            console.print(text, markup=False, soft_wrap=True)
+            console.print(text, soft_wrap=True)
             console.print()
 
 
@@ -123,4 +125,6 @@ def _row(row: Mapping[str, Any]) -> str:
     from rrmctl.cli.live import score
 
     success = row["success"] if row["success"] == row["success"] else None  # NaN: the task has no success
-    return f"step {row['step']:>9,}  {score(success, row['true_return'])}  return {row['true_return']:,.1f}"
+    told = f"step {row['step']:>9,}  {score(success, row['true_return'])}  return {row['true_return']:,.1f}"
+    figures = (f"{name} {row[name]:.3g}" for name in row if name not in IDENTITY | MEASURED)
+    return "  ".join((told, *figures))

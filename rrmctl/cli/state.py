@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
+import socket
 import sys
 import time
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -16,10 +18,10 @@ from rrmctl.cli.progress import OVER, STATES, Group, errors, group_by_row, group
 from rrmctl.cli.screen import tell
 from rrmctl.commands import rrmctl
 from rrmctl.errors import UserError
-from rrmctl.terminal import console
+from rrmctl.terminal import stdout_console
 
 if TYPE_CHECKING:
-    from rich.console import Console, RenderableType
+    from rich.console import RenderableType
 
     from rrmctl.store.layout import Layout
     from rrmctl.store.records import Status
@@ -32,6 +34,7 @@ _COLOURS = {
     "done": "green",
     "running": "cyan",
     "interrupted": "yellow",
+    "waiting": "yellow",
     "failed": "red",
     "blocked": "red",
     "unreadable": "bold red",
@@ -65,7 +68,7 @@ def status(
 
     view = look()
     if not watch:
-        typer.echo(json.dumps(view.as_json())) if as_json else console_for_tables().print(view.table())
+        typer.echo(json.dumps(view.as_json())) if as_json else stdout_console().print(view.table())
         return
     try:
         _watch(view, look, as_json=as_json)
@@ -76,7 +79,7 @@ def status(
 def _watch(view: _View, look: Any, *, as_json: bool) -> None:
     from rich.live import Live
 
-    console = console_for_tables()
+    console = stdout_console()
     if as_json or not sys.stdout.isatty():
         said = None
         while True:
@@ -117,7 +120,8 @@ class _View:
         self._states = states
         self._failed = failed
         self.groups = group_by_row(sweeps, states) if detailed else group_by_sweep(sweeps, states)
-        self.total = Group("all", self._every_job(), states)
+        jobs = {job.id: job for sweep in sweeps for job in sweep.everything}
+        self.total = Group("all", list(jobs.values()), states)
 
     @property
     def has_work(self) -> bool:
@@ -154,7 +158,13 @@ class _View:
         hints = []
         if self.total.counts["failed"] or self.total.counts["unreadable"]:
             hints.append(f"Why runs failed: {self._command('status', '--failed')}")
-        jobs = [job for job in self._every_job() if self._states[job.id].state not in OVER]
+        waited = Counter(str(status.error) for status in self._states.values() if status.state == "waiting")
+        hints += [f"{runs(count)} waiting for {what}" for what, count in waited.items()]
+        hosts = {status.host for status in self._states.values() if status.state == "running" and status.host}
+        if elsewhere := sorted(hosts - {socket.gethostname()}):
+            after = f"should one be gone, this takes its runs over after 30 s of silence: {self._command('resume')}"
+            hints.append(f"Running on {', '.join(elsewhere)}; {after}")
+        jobs = [job for job in self.total.jobs if self._states[job.id].state not in OVER]
         gone = unconfigured(self._layout, jobs)
         if not self.total.counts["running"] and len(jobs) > len(gone):
             hints.append(f"Nothing is running; this goes on: {self._command('resume')}")
@@ -169,7 +179,7 @@ class _View:
         from rich.text import Text
 
         lines = Text()
-        found = errors(self._every_job(), self._states)
+        found = errors(self.total.jobs, self._states)
         if not found:
             return Text("No run failed.")
         for message, jobs in found.items():
@@ -186,22 +196,12 @@ class _View:
             "runs": len(self.total.jobs), **{state: self.total.counts[state] for state in STATES},
             "core_seconds_left": self.total.seconds_left, "groups": [group.as_json() for group in self.groups],
             "errors": {
-                message: [job.id for job in jobs] for message, jobs in errors(self._every_job(), self._states).items()
+                message: [job.id for job in jobs] for message, jobs in errors(self.total.jobs, self._states).items()
             },
         }  # fmt: skip
-
-    def _every_job(self) -> list[Any]:
-        return list({job.id: job for sweep in self._sweeps for job in sweep.everything}.values())
 
 
 def note_damage(damage: Iterable[UserError]) -> None:
     """One line on standard error for each file that a command can go on without."""
     for error in damage:
         tell(f"note: {error}; {error.hint}", err=True)
-
-
-def console_for_tables() -> Console:
-    """Standard output, for what is a table or may be long."""
-    # Wide where nobody looks: what another program reads should not be folded.
-    width = None if sys.stdout.isatty() else 200
-    return console(width=width, highlight=False, markup=False, emoji=False)

@@ -81,20 +81,30 @@ MEASURED_COLUMNS = {
     "success": Field("number", "fraction", "share of episodes with success; missing for tasks without a criterion"),
     "queries": Field("integer", "queries", "queries put to the teacher so far, skipped ones included"),
     "labels": Field("integer", "labels", "labels kept so far"),
-    "label_accuracy": Field("number", "fraction", "agreement of the learned reward with the labels, last epoch"),
-    "true_accuracy": Field("number", "fraction", "its agreement with the true reward on fresh uniform pairs"),
     "prior_mean": Field("number", "reward", "mean of the prior reward over the transitions since the last row"),
     "residual_mean": Field("number", "reward", "mean of reward minus prior over those transitions"),
     "reward_mean": Field("number", "reward", "mean of the reward the agent was given for those transitions"),
     "reward_std": Field("number", "reward", "its standard deviation"),
     "true_reward_mean": Field("number", "reward", "mean true reward of those transitions"),
-    "critic_loss": Field("number", "", "last loss of the critic; missing before the first update"),
-    "actor_loss": Field("number", "", "last loss of the actor"),
-    "entropy": Field("number", "nat", "last estimate of the policy's entropy"),
-    "alpha": Field("number", "", "temperature of SAC"),
     "wall_s": Field("number", "s", "training time so far, interruptions left out"),
     "steps_per_s": Field("number", "1/s", "environment steps per second since the last row, evaluation included"),
 }
 
-#: Every column of an evaluation, in order.
+#: Every column that each evaluation has, in order.
 COLUMNS = RUN_COLUMNS | MEASURED_COLUMNS
+
+#: More about figures than that a run's agent or source of rewards has them.
+_FIGURES = {
+    "label_accuracy": Field("number", "fraction", "agreement of the learned reward with the labels, last epoch"),
+    "true_accuracy": Field("number", "fraction", "its agreement with the true reward on fresh uniform pairs"),
+    "critic_loss": Field("number", "", "last loss of the critic; missing before the first update"),
+    "actor_loss": Field("number", "", "last loss of the actor"),
+    "entropy": Field("number", "nat", "last estimate of the policy's entropy"),
+    "alpha": Field("number", "", "temperature of SAC"),
+}
+
+
+def described(column: str) -> Field:
+    """What a column of `Bundle.evaluations` holds; all figures are there, whether or not more is known of them."""
+    figure = Field("number", "", "a figure of the run's agent or source of rewards; missing where it has none")
+    return COLUMNS.get(column) or _FIGURES.get(column, figure)

@@ -15,13 +15,14 @@ from collections.abc import Iterator, Mapping
 from functools import cache
 from typing import Any
 
-from rrm.config import EvaluationConfig, ExplorationConfig, FeedbackConfig, ImitationConfig, MrnConfig
+from rrm.config import EvaluationConfig, ExplorationConfig, FeedbackConfig, ImitationConfig, RewardConfig
 from rrm.envs.tasks import TASKS
 from rrm.teachers import TEACHERS
 from rrm.training.config import RunConfig
-from rrmctl.errors import UserError
+from rrmctl.errors import check_known
+from rrmctl.labels import NOTHING_ASKED
 from rrmctl.planning.grid import Row
-from rrmctl.planning.manifest import DEFAULT_FEEDBACK, Manifest, nearest
+from rrmctl.planning.manifest import DEFAULT_FEEDBACK, Manifest
 from rrmctl.planning.methods import TASK, Method
 from rrmctl.planning.profiles import PAPER, Kind, Layer, profiles
 from rrmctl.planning.schedules import Schedule
@@ -44,10 +45,7 @@ def check_names(manifest: Manifest, row: Row) -> None:
         ("teacher", row.teacher, {**TEACHERS, **manifest.teachers}),
         ("feedback schedule", row.feedback, {DEFAULT_FEEDBACK, *manifest.feedback}),
     ):
-        if name not in known:
-            raise UserError(
-                f'{manifest.path}: unknown {kind} "{name}"{nearest(name, known)}', f"known: {', '.join(sorted(known))}"
-            )
+        check_known(name, sorted(known), f'{manifest.path}: unknown {kind} "{name}"')
 
 
 def configure(manifest: Manifest, row: Row, method: Method, scale: str, overrides: Flat) -> RunConfig:
@@ -77,9 +75,9 @@ def profile_layers(scale: str, task: str, kind: Kind) -> list[Checked]:
 
 
 def feedback_label(manifest: Manifest, row: Row, config: RunConfig) -> str:
-    """`50@5000/5000`: queries of a session, steps between sessions, queries in all; "-" where nothing is asked."""
+    """`50@5000/5000`: queries of a session, steps between sessions, queries in all; or that nothing is asked."""
     if config.feedback is None:
-        return "-"
+        return NOTHING_ASKED
     name = row.feedback if set(manifest.feedback.get(row.feedback, {})) - _SPELLED else ""
     return str(Schedule(config.feedback.batch, config.feedback.every, config.feedback.budget, name))
 
@@ -98,11 +96,7 @@ def check_sections(manifest: Manifest) -> None:
         flatten(section)
     known = profiles()
     for name in manifest.profiles:
-        if name not in known:
-            raise UserError(
-                f"{manifest.path} [profile.{name}]: no profile has this name{nearest(name, known)}",
-                f"known: {', '.join(known)}",
-            )
+        check_known(name, known, f"{manifest.path} [profile.{name}]: no profile has this name")
 
 
 def _manifest_layers(manifest: Manifest, row: Row, method: Method) -> Iterator[Layer]:
@@ -148,7 +142,7 @@ def _amounts(scale: str, task: str, kind: Kind) -> dict[str, int]:
         ("feedback", FeedbackConfig()),
         ("exploration", ExplorationConfig()),
         ("evaluation", EvaluationConfig()),
-        ("reward.mrn", MrnConfig()),
+        *((f"reward.{name}", section) for name, section in RewardConfig.own().items()),
         ("imitation", ImitationConfig()),
     ):
         values |= {f"{room}.{name}": value for name, value in model.model_dump().items()}

@@ -22,11 +22,9 @@ The constants were fitted on one machine; the result is good to about a factor o
 from __future__ import annotations
 
 import math
-import statistics
 import subprocess
 import sys
-from collections import defaultdict
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
 from typing import TYPE_CHECKING
@@ -37,9 +35,7 @@ from rrmctl.errors import UserError
 if TYPE_CHECKING:
     from rrm.training.config import RunConfig
     from rrmctl.planning.needs import Config
-    from rrmctl.planning.plan import Job, Plan
-    from rrmctl.store.layout import Layout
-    from rrmctl.store.records import Status
+    from rrmctl.planning.plan import Plan
 
 #: (task, method, variant) -> environment steps per second, evaluation included.
 Rates = Mapping[tuple[str, str, str], float]
@@ -50,6 +46,7 @@ _SIMULATOR_S = {
     "dmc": 1 / 3200, "walker-walk": 1 / 4900,
     "toy": 1 / 30_000,
 }  # fmt: skip
+_UNKNOWN_S = 1 / 1000  # of a simulator that nobody has measured
 _START_S = 3.0  # loading torch and the simulator in a process of its own
 _CALL_S = 0.0005  # an update's cost beside its products: launching operations, optimisers
 _ACT_S = 0.0003
@@ -93,7 +90,7 @@ def estimate(plan: Plan, rates: Rates, gemm: float | None = None) -> Estimate:
     """The cost of a plan.
 
     Args:
-        rates: speeds of stored runs; see `stored_rates`.
+        rates: speeds of stored runs; see `rrmctl.store.speeds`.
         gemm: floating-point operations per second of one core; None measures it if it is needed.
     """
     seconds: dict[str, float] = {}
@@ -105,35 +102,11 @@ def estimate(plan: Plan, rates: Rates, gemm: float | None = None) -> Estimate:
             seconds[job.id] = _START_S + job.config.steps / rate
             measured.add(job.id)
             continue
-        cell = (job.task, job.method, job.teacher, job.feedback)  # seeds cost the same
-        if cell not in modelled:
+        if job.row not in modelled:  # seeds cost the same
             gemm = measure_gemm() if gemm is None else gemm
-            modelled[cell] = model_seconds(job.config, gemm)
-        seconds[job.id] = modelled[cell]
+            modelled[job.row] = model_seconds(job.config, gemm)
+        seconds[job.id] = modelled[job.row]
     return Estimate(seconds, frozenset(measured))
-
-
-def stored_rates(layout: Layout, known: Mapping[str, Status] | None = None) -> dict[tuple[str, str, str], float]:
-    """The median speed of the store's runs, by task, method and variant.
-
-    Args:
-        known: where some of the runs stand, by id, as read already.
-    """
-    from rrmctl.store.reader import statuses
-    from rrmctl.store.records import State
-    from rrmctl.store.sweeps import readable_sweeps
-
-    states = dict(known or {})
-    speeds: dict[tuple[str, str, str], list[float]] = defaultdict(list)
-    for sweep in readable_sweeps(layout)[0]:
-        states |= statuses(layout, (job for job in sweep.everything if job.id not in states))
-        for job in sweep.everything:
-            status = states[job.id]
-            if status.state is State.DONE and status.wall_s:
-                speeds[job.task, job.method, sweep.variant].append(status.step / status.wall_s)
-            elif status.steps_per_s:
-                speeds[job.task, job.method, sweep.variant].append(status.steps_per_s)
-    return {key: statistics.median(values) for key, values in speeds.items() if statistics.median(values) > 0}
 
 
 @cache
@@ -163,7 +136,7 @@ def model_seconds(config: Config, gemm: float) -> float:
         gemm: floating-point operations per second of the core.
     """
     spec = config.spec()
-    step = _SIMULATOR_S.get(spec.name, _SIMULATOR_S[spec.suite]) + _ACT_S
+    step = _SIMULATOR_S.get(spec.name) or _SIMULATOR_S.get(spec.suite, _UNKNOWN_S) + _ACT_S
     if config.kind == "demos":
         return _START_S + config.steps * step
     agent = config.agent
@@ -186,7 +159,7 @@ def _reward_seconds(config: RunConfig, gemm: float) -> float:
     spec = config.spec()
     inputs = spec.obs_dim + spec.act_dim + (reward.prior is not None)
     weights = _weights(inputs, reward.hidden, reward.layers, 1) * reward.members
-    rows = (feedback.segment + 2 * reward.margin) * reward.minibatch * reward.pairs_per_label
+    rows = (feedback.segment + 2 * reward.settings.needs().margin) * reward.minibatch * reward.settings.pairs_per_label
     fit = _CALL_S + _SLACK * 12 * weights * rows / gemm
     labels = min(feedback.batch * (sessions + 1) / 2, reward.capacity)  # the mean over the sessions
     stored = config.first_session + feedback.every * (sessions - 1) / 2
@@ -199,7 +172,7 @@ def _imitation_seconds(config: RunConfig, gemm: float) -> float:
     if not config.from_demonstrations:
         return 0.0
     spec, imitation, agent = config.spec(), config.imitation, config.agent
-    steps = (config.first_session if config.reward.is_learned else config.steps) - config.random_steps
+    steps = (config.first_session if config.reward.kind.learned else config.steps) - config.random_steps
     shape = (imitation.hidden, imitation.layers, 1)
     g, h = _weights(spec.obs_dim + spec.act_dim, *shape), 2 * _weights(spec.obs_dim, *shape)
     actor = _weights(spec.obs_dim, agent.hidden, agent.layers, 2 * spec.act_dim)
@@ -210,8 +183,3 @@ def _imitation_seconds(config: RunConfig, gemm: float) -> float:
 
 def _weights(inputs: int, hidden: int, layers: int, outputs: int) -> int:
     return inputs * hidden + (layers - 1) * hidden * hidden + hidden * outputs
-
-
-def slowest(jobs: Iterable[Job], cost: Estimate) -> float:
-    """Seconds of the longest job: no number of workers makes the sweep shorter."""
-    return max((cost.seconds[job.id] for job in jobs), default=0.0)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from rrm.files import place
-from rrmctl.errors import UserError
+from rrmctl.errors import UserError, check_known
 
 _BUILT = Path(__file__).resolve().parents[1] / "experiments"
 #: The manifests that come with the program: in a built package within it, in the repository beside it.
@@ -39,16 +39,13 @@ def find(name: str, folder: Path | None) -> Path:
     Raises:
         UserError: there is none; the message suggests the nearest.
     """
-    from rrmctl.planning.manifest import nearest
-
     path = place(name)
     if name.endswith(".toml") and not path.is_dir():
         if not path.exists():
             raise UserError(f"there is no file {name}")
         return path
     found = available(folder)
-    if name not in found:
-        if name and path.is_dir():
-            raise UserError(f"{name} is a folder", "name an experiment of `rrmctl list`, or one manifest (*.toml)")
-        raise UserError(f'no experiment "{name}"{nearest(name, found)}', f"known: {', '.join(found)}")
+    if name and name not in found and path.is_dir():
+        raise UserError(f"{name} is a folder", "name an experiment of `rrmctl list`, or one manifest (*.toml)")
+    check_known(name, found, f'no experiment "{name}"')
     return found[name]

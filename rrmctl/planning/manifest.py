@@ -7,7 +7,6 @@ format is described in docs/manifests.md; every key is a field below.
 
 from __future__ import annotations
 
-import difflib
 import re
 from collections import Counter
 from collections.abc import Iterable, Mapping
@@ -25,7 +24,7 @@ from pydantic import (
     field_validator,
 )
 
-from rrmctl.errors import UserError, shown
+from rrmctl.errors import UserError, check_known, shown
 from rrmctl.planning.toml import read_toml
 
 #: Settings of a run, as nested tables with the keys of `rrm.training.config.RunConfig`.
@@ -139,18 +138,10 @@ _SECTIONS = {"task": "tasks", "method": "methods", "teacher": "teachers", "profi
 _KEYS = {"title", "reproduces", "rule", "closing", "default_profile", "seeds", "defaults", "feedback", *_SECTIONS}
 
 
-def nearest(name: str, known: Iterable[str]) -> str:
-    """`; did you mean "x"?` where a known name is near, else nothing."""
-    near = difflib.get_close_matches(name, sorted(known), n=1)
-    return f'; did you mean "{near[0]}"?' if near else ""
-
-
 def refuse_unknown(table: Mapping[str, Any], known: Iterable[str], where: str) -> None:
     """Raise `UserError` for the first key of `table` that is not known, with the nearest one that is."""
-    names = sorted(known)
     for key in table:
-        if key not in names:
-            raise UserError(f'{where}: unknown key "{key}"{nearest(key, names)}', f"known keys: {', '.join(names)}")
+        check_known(key, sorted(known), f'{where}: unknown key "{key}"', "known keys")
 
 
 def load(path: Path) -> Manifest:

@@ -7,15 +7,15 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from rrm.config import DEMONSTRATED, KNOWN_REWARDS
-from rrm.errors import ConfigError
+from rrm.config import KINDS, KNOWN, LEARNED, PRIOR_ALONE
+from rrm.errors import ConfigError, nearest
 from rrm.files import place
 from rrm.priors import PRIORS
 from rrm.priors.language import is_frozen
 from rrm.registry import check_file, is_file_reference
 from rrm.rewards import LEARNERS
 from rrmctl.errors import UserError
-from rrmctl.planning.manifest import MethodTable, Settings, nearest
+from rrmctl.planning.manifest import MethodTable, Settings
 from rrmctl.planning.profiles import Kind
 
 #: The learner that a residual method's name leaves out.
@@ -36,7 +36,7 @@ class Method:
     @property
     def kind(self) -> Kind:
         """Known reward, learned from nothing, or learned on a prior."""
-        if self.learner in KNOWN_REWARDS:
+        if KINDS.get(self.learner, LEARNED).known:
             return "known"
         return "baseline" if self.prior is None else "residual"
 
@@ -46,7 +46,7 @@ def grammar() -> dict[str, tuple[str, str | None]]:
     names: dict[str, tuple[str, str | None]] = {"oracle": ("true", None)}
     names |= {learner: (learner, None) for learner in LEARNERS}
     names |= {f"sac-{prior}": ("prior", prior) for prior in PRIORS}
-    based = [learner for learner in LEARNERS if learner not in DEMONSTRATED]
+    based = [learner for learner in LEARNERS if learner not in KINDS]
     names |= {f"rrm-{learner}-{prior}": (learner, prior) for learner in based for prior in PRIORS}
     names |= {f"rrm-{prior}": (BASE_LEARNER, prior) for prior in PRIORS}
     return names
@@ -82,11 +82,18 @@ def method(name: str, own: Mapping[str, MethodTable], folder: Path, where: str) 
             )
         learner, prior = names[name]
         return Method(name, learner, prior, table.settings)
-    learner = _named(table.learner or BASE_LEARNER, "learner", (*LEARNERS, *KNOWN_REWARDS), folder, section)
+    learner = _named(
+        table.learner or BASE_LEARNER,
+        "learner",
+        (*LEARNERS, *(name for name, kind in KINDS.items() if kind.known)),
+        folder,
+        section,
+    )
     prior = _named(table.prior, "prior", PRIORS, folder, section) if table.prior is not None else None
-    if learner == "prior" and prior is None:
+    kind = KINDS.get(learner, LEARNED)
+    if kind is PRIOR_ALONE and prior is None:
         raise UserError(f'{section}: the learner "prior" trains on a prior alone; name it with prior = "..."')
-    if learner == "true" and prior is not None:
+    if kind is KNOWN and prior is not None:
         raise UserError(f'{section}: the learner "true" is the true reward and takes no prior')
     return Method(name, learner, prior, table.settings)
 

@@ -19,7 +19,7 @@ def notes(plan: Plan, cores: int) -> list[str]:
 def _unasked(plan: Plan) -> list[str]:
     """Budgets of feedback that a run is too short to spend, those that fall short alike in one line."""
     short: dict[str, dict[str, None]] = defaultdict(dict)
-    cells = {(job.task, job.method, job.teacher, job.feedback): job for job in plan.jobs}  # every seed asks the same
+    cells = {job.row: job for job in plan.jobs}  # every seed asks the same
     for job in cells.values():
         config = job.config
         if config.kind != "train" or config.feedback is None:

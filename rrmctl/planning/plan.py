@@ -12,10 +12,11 @@ from pathlib import Path
 from typing import Any
 
 from rrm.errors import RrmError
-from rrmctl.errors import UserError, shown
+from rrmctl.errors import UserError, check_known, shown
+from rrmctl.labels import NOTHING_ASKED, Label
 from rrmctl.planning.cells import check_names, check_sections, configure, feedback_label
 from rrmctl.planning.grid import AXES, Row, rows_of
-from rrmctl.planning.manifest import Manifest, nearest
+from rrmctl.planning.manifest import Manifest
 from rrmctl.planning.methods import Method, method, residual
 from rrmctl.planning.needs import Config, supply
 from rrmctl.planning.profiles import profile as find_profile
@@ -34,9 +35,14 @@ class Job:
     config: Config
     task: str
     method: str
-    teacher: str  #: "-" where nothing is asked
-    feedback: str  #: "50@5000/5000": queries of a session, steps between sessions, queries in all; "-" where none
+    teacher: str  #: `NOTHING_ASKED` where nothing is
+    feedback: str  #: "50@5000/5000": queries of a session, steps between sessions, queries in all; or the same
     seed: int
+
+    @property
+    def row(self) -> Label:
+        """What it is called, whatever its seed."""
+        return Label(self.task, self.method, self.teacher, self.feedback)
 
     @property
     def requires(self) -> tuple[str, ...]:
@@ -180,11 +186,8 @@ def _check(manifest: Manifest, rows: list[Row]) -> None:
     for axis, section in zip(AXES.values(), sections, strict=True):
         used = {getattr(row, axis) for row in rows}
         for name in section:
-            if name not in used:
-                raise UserError(
-                    f"{manifest.path} [{axis}.{name}]: the grid has no {axis} of this name{nearest(name, used)}",
-                    f"the grid has: {', '.join(sorted(used))}",
-                )
+            problem = f"{manifest.path} [{axis}.{name}]: the grid has no {axis} of this name"
+            check_known(name, sorted(used), problem, "the grid has")
     check_sections(manifest)
 
 
@@ -198,11 +201,7 @@ def _only(
     if not wanted:
         raise UserError(f"--{axis}s names nothing", f"{manifest.name} has: {', '.join(sorted(there))}")
     for name in wanted:
-        if name not in there:
-            raise UserError(
-                f'--{axis}s: {manifest.name} has no {axis} "{name}"{nearest(name, there)}',
-                f"it has: {', '.join(sorted(there))}",
-            )
+        check_known(name, sorted(there), f'--{axis}s: {manifest.name} has no {axis} "{name}"', "it has")
     return [row for row in rows if getattr(row, axis) in wanted]
 
 
@@ -232,7 +231,7 @@ def _cell(manifest: Manifest, row: Row, method: Method, scale: str, settings: di
         raise UserError(f"{manifest.path}: {row.task}, {row.method}: {error}") from None
     asked = config.feedback is not None
     cell = Job(
-        id="", config=config, task=row.task, method=row.method, teacher=row.teacher if asked else "-",
+        id="", config=config, task=row.task, method=row.method, teacher=row.teacher if asked else NOTHING_ASKED,
         feedback=feedback_label(manifest, row, config), seed=0,
     )  # fmt: skip
     return cell, [_needed(each) for each in supplied.needed]
@@ -242,7 +241,8 @@ def _needed(config: Config) -> Job:
     # An oracle that nothing reports has a name of its own: the experiment's may be of another length.
     name = "expert" if config.method == "oracle" else config.method
     return Job(
-        id=config.identity, config=config, task=config.task, method=name, teacher="-", feedback="-", seed=config.seed
+        id=config.identity, config=config, task=config.task, method=name, teacher=NOTHING_ASKED,
+        feedback=NOTHING_ASKED, seed=config.seed,
     )  # fmt: skip
 
 
@@ -253,11 +253,10 @@ def _seeded(cell: Job, seed: int) -> Job:
 
 def _refuse_ambiguous(cells: Iterable[Job], manifest: Manifest) -> None:
     """Two different configurations under one name could not be told apart in any report."""
-    seen: dict[tuple[str, ...], Config] = {}
+    seen: dict[Label, Config] = {}
     for cell in cells:
-        names = (cell.task, cell.method, cell.teacher, cell.feedback)
-        if seen.setdefault(names, cell.config) != cell.config:
+        if seen.setdefault(cell.row, cell.config) != cell.config:
             raise UserError(
-                f"{manifest.path}: two different runs are both called {' / '.join(names)}",
+                f"{manifest.path}: two different runs are both called {' / '.join(cell.row)}",
                 "give one of them a method name of its own: [method.NAME] with learner and prior",
             )

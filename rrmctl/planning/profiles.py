@@ -8,8 +8,9 @@ from functools import cache
 from pathlib import Path
 from typing import Any, Literal
 
-from rrmctl.errors import UserError
-from rrmctl.planning.manifest import Settings, nearest, refuse_unknown
+from rrm.errors import nearest
+from rrmctl.errors import UserError, check_known
+from rrmctl.planning.manifest import Settings, refuse_unknown
 from rrmctl.planning.toml import read_toml
 
 PATH = Path(__file__).with_name("profiles.toml")
@@ -76,6 +77,5 @@ def profile(name: str, where: str) -> Profile:
         UserError: there is none; the message suggests the nearest.
     """
     known = profiles()
-    if name not in known:
-        raise UserError(f'{where}: unknown profile "{name}"{nearest(name, known)}', f"known: {', '.join(known)}")
+    check_known(name, known, f'{where}: unknown profile "{name}"')
     return known[name]

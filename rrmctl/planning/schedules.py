@@ -23,7 +23,7 @@ class Schedule(NamedTuple):
 
     @classmethod
     def of(cls, label: str) -> Schedule | None:
-        """The schedule that a label stands for; None where it is none's, such as "-" where nothing is asked."""
+        """The schedule that a label stands for; None where it is none's, such as that of nothing asked."""
         match = _LABEL.fullmatch(label)
         if match is None:
             return None

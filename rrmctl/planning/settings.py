@@ -13,11 +13,12 @@ from typing import Annotated, Any, Union, get_args, get_origin
 from pydantic import BaseModel, TypeAdapter, ValidationError
 from pydantic.fields import FieldInfo
 
-from rrm.errors import RrmError
+from rrm.config import RewardConfig
+from rrm.errors import RrmError, nearest
 from rrm.toml import NestingError, loads
 from rrm.training.config import CONFIG_VERSION, RunConfig
 from rrmctl.errors import UserError, shown
-from rrmctl.planning.manifest import Settings, nearest
+from rrmctl.planning.manifest import Settings
 from rrmctl.planning.profiles import Layer
 from rrmctl.planning.toml import refuse_odd
 
@@ -27,7 +28,7 @@ AMOUNTS = (
     "feedback.every", "feedback.batch", "feedback.budget", "feedback.segment",
     "exploration.seed_steps", "exploration.unsupervised_steps",
     "evaluation.every",
-    "reward.mrn.every",
+    *(f"reward.{name}.{amount}" for name, section in RewardConfig.own().items() for amount in section.amounts),
     "imitation.steps", "imitation.seed_steps", "imitation.every", "imitation.window", "imitation.switch",
 )  # fmt: skip
 

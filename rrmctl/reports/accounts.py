@@ -7,6 +7,7 @@ from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
+from rrmctl.labels import Label
 from rrmctl.store.frame import NUMBER, TEXT, WHOLE, frame
 from rrmctl.store.inventory import Run, settings
 
@@ -14,7 +15,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
 #: What tells the rows of a variant from one another.
-GROUP = ("task", "method", "teacher", "feedback")
+GROUP = Label._fields
 
 #: Of a configuration, what says which run it is rather than how it runs.
 _IDENTITY = ("id", "cell", "seed", "task", "method", "profile")
@@ -65,14 +66,15 @@ def common_settings(runs: Iterable[Run]) -> pd.DataFrame:
 def differing_settings(runs: Iterable[Run]) -> pd.DataFrame:
     """The other settings: a row for each task, method, teacher and feedback, a column for each setting, values as JSON.
 
-    A value is missing where a group has no such setting; several values in a group stand side by side.
+    A value is missing where a group has no such setting; several values in a group stand side by side. No row is there
+    where nothing differs.
     """
     configured = [run for run in runs if run.config is not None]
     found = {run.id: _settings(run) for run in configured}
     names = dict.fromkeys(name for each in found.values() for name in each)
     columns = [name for name in names if not _shared(name, list(found.values()))]
     rows: dict[tuple[str, ...], dict[str, dict[str, None]]] = {}
-    for run in configured:
+    for run in configured if columns else ():
         row = rows.setdefault(tuple(run.plan[name] for name in GROUP), {name: {} for name in columns})
         for name in set(columns) & set(found[run.id]):
             row[name][found[run.id][name]] = None
@@ -94,12 +96,13 @@ def makings(runs: Iterable[Run]) -> pd.DataFrame:
 
     Returns:
         A row for each fact, a column for each distinct making: `fact`, then `A`, `B`, ...; the first row counts runs.
+        No row where none was started.
     """
     once = {run.id: run for run in runs if run.provenance is not None}.values()
     counted = Counter(json.dumps(_making(run), sort_keys=True) for run in once)
     columns = {_letters(at): json.loads(making) for at, (making, _) in enumerate(counted.most_common())}
     names = dict.fromkeys(name for making in columns.values() for name in making)
-    rows = [("runs", *(str(count) for _, count in counted.most_common()))]
+    rows = [("runs", *(str(count) for _, count in counted.most_common()))] if counted else []
     rows += [(name, *(making.get(name) for making in columns.values())) for name in names]
     return frame(rows, dict.fromkeys(("fact", *columns), TEXT))
 

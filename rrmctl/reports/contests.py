@@ -15,7 +15,8 @@ import numpy as np
 
 from rrm.envs.tasks import Score
 from rrmctl.errors import UserError
-from rrmctl.reports.series import NOTHING_ASKED, SCORE_COLUMN, Floats, Label, Section, Series
+from rrmctl.labels import NOTHING_ASKED, Label, panels
+from rrmctl.reports.series import SCORE_COLUMN, Floats, Section, Series
 from rrmctl.stats import Comparison, Design, Verdict, area_under_curve, sequential_test
 from rrmctl.store.trials import Pairing, Trial
 
@@ -56,7 +57,7 @@ class Contests:
 
 def every_pair(labels: Iterable[Label]) -> list[Pairing]:
     """Each method of each panel against those before it; two that ask nothing once for their task."""
-    pairs = (_pair(later, earlier) for panel in _panels(labels) for earlier, later in combinations(panel, 2))
+    pairs = (_pair(later, earlier) for panel in panels(labels).values() for earlier, later in combinations(panel, 2))
     return list(dict.fromkeys(pairs))
 
 
@@ -67,7 +68,7 @@ def against(labels: Iterable[Label], method: str | None) -> list[Pairing]:
         UserError: a panel lacks the method, or has no other.
     """
     found = []
-    for panel in _panels(labels):
+    for panel in panels(labels).values():
         known = {each.method: each for each in panel}
         one = method or panel[0].method
         if one not in known or len(known) < 2:
@@ -118,18 +119,6 @@ def without_score(series: Series) -> list[str]:
     ]
 
 
-def _panels(labels: Iterable[Label]) -> list[list[Label]]:
-    """What is compared with one another: by task, teacher and feedback; what asks nothing is in all of its task."""
-    distinct = list(dict.fromkeys(labels))
-    found = []
-    for task in dict.fromkeys(label.task for label in distinct):
-        here = [label for label in distinct if label.task == task]
-        asked = dict.fromkeys(each[2:] for each in here if each.teacher != NOTHING_ASKED)
-        for where in asked or {(NOTHING_ASKED, NOTHING_ASKED): None}:
-            found.append([each for each in here if each[2:] in (where, (NOTHING_ASKED, NOTHING_ASKED))])
-    return found
-
-
 def _pair(method: Label, other: Label) -> Pairing:
     """Of two labels of a panel; its teacher and feedback are those of the one that asks."""
     asked = other if method.teacher == NOTHING_ASKED else method
@@ -152,7 +141,7 @@ def _scores(series: Series, seeds: Collection[int] | None) -> Scores:
 def _labelled(known: Collection[Label], pair: Pairing, method: str) -> Label:
     """What a method of a pair is called in its section, whether it asks or not."""
     asking = Label(pair.task, method, pair.teacher, pair.feedback)
-    return asking if asking in known else Label(pair.task, method, NOTHING_ASKED, NOTHING_ASKED)
+    return asking if asking in known else Label(pair.task, method)
 
 
 def _in_order(

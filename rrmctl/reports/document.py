@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from rrmctl.errors import UserError
-from rrmctl.reports.series import knows
+from rrmctl.labels import knows
 from rrmctl.reports.settings import SURE
 from rrmctl.stats import MIN_RUNS
 

@@ -5,11 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rrmctl.errors import UserError
-from rrmctl.planning.manifest import nearest
 from rrmctl.reports.kinds import kinds
 from rrmctl.reports.select import of_profile, read_sections
 from rrmctl.reports.settings import DEFAULTS, Settings
+from rrmctl.reports.shelf import choose
 from rrmctl.store.frame import MAYBE_WHOLE, typed
 
 if TYPE_CHECKING:
@@ -45,10 +44,7 @@ def table(
     """
     import pandas as pd
 
-    known = kinds()
-    if kind not in known:
-        raise UserError(f'there is no table "{kind}"{nearest(kind, known)}', f"there are: {', '.join(known)}")
-    module = known[kind].load()
+    module = choose(kinds(), kind, "table").load()
     found = read_sections(results, experiment or module.EXPERIMENT, allow_mixed=allow_mixed)
     made = module.make(of_profile(found, profile), settings)
     whose = ("experiment", "profile", "variant")

@@ -6,7 +6,8 @@ import math
 from collections.abc import Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
-from rrmctl.reports.series import ORACLE, Floats, Panel, Section, Series, Steps
+from rrmctl.labels import ORACLE
+from rrmctl.reports.series import Floats, Panel, Section, Series, Steps
 from rrmctl.reports.sheet import Cell
 from rrmctl.reports.styles import LINE, Looks, Style
 from rrmctl.reports.words import short_absent_notes

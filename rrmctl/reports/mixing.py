@@ -14,8 +14,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from rrmctl.commands import run_commands
 from rrmctl.errors import UserError
+from rrmctl.labels import Label
 from rrmctl.planning.settings import config_version
-from rrmctl.reports.series import NOTHING_ASKED, Label, Section
+from rrmctl.reports.series import Section
 from rrmctl.store.layout import Layout, RunFolder
 from rrmctl.store.provenance import asked_by, made_with, version
 from rrmctl.store.reader import read_config
@@ -185,11 +186,7 @@ def _runs(section: Section) -> Iterator[Made]:
 
 def _which(runs: Sequence[Made]) -> str:
     """How many runs, of which series."""
-    names = list(dict.fromkeys(_name(made.label) for made in runs))
+    names = list(dict.fromkeys(" ".join(made.label.words) for made in runs))
     more = [f"and {len(names) - _NAMED} more"] if len(names) > _NAMED else []
     count = len({made.run for made in runs})
     return f"{count} run{'s' if count != 1 else ''} ({', '.join([*names[:_NAMED], *more])})"
-
-
-def _name(label: Label) -> str:
-    return " ".join([label.task, label.method, *(word for word in label[2:] if word != NOTHING_ASKED)])

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 
-from rrmctl.commands import rrmctl
-from rrmctl.errors import UserError
-from rrmctl.planning.manifest import nearest
+from rrmctl.errors import check_known
 from rrmctl.store.layout import Layout
+from rrmctl.store.reader import never_run
 
 
 def experiments(layout: Layout, asked: Sequence[str]) -> list[str]:
@@ -17,16 +16,9 @@ def experiments(layout: Layout, asked: Sequence[str]) -> list[str]:
         UserError: the store holds no run of one, or none at all.
     """
     known = layout.experiments()
-    if not known:
-        raise UserError(
-            f"{layout.root} holds no experiment yet",
-            f"start one, e.g. `{rrmctl('run', 'quickstart', results=layout.root)}`",
-        )
-    for name in asked:
-        if name not in known:
-            near = nearest(name, known)
-            start = "" if near else "; `rrmctl list` names what there is to run"
-            raise UserError(f'{layout.root} holds no runs of "{name}"{near}', f"it holds: {', '.join(known)}{start}")
+    unknown = [name for name in asked if name not in known]
+    if unknown or not known:
+        raise never_run(layout, *unknown)
     return list(dict.fromkeys(asked)) or known
 
 
@@ -37,6 +29,5 @@ def check_profile(profile: str | None, present: Iterable[str]) -> None:
         UserError: with the nearest that there is.
     """
     known = sorted(set(present))
-    if profile is not None and profile not in known:
-        near = nearest(profile, known)
-        raise UserError(f'no runs of profile "{profile}"{near}', f"there are runs of: {', '.join(known)}")
+    if profile is not None:
+        check_known(profile, known, f'no runs of profile "{profile}"', "there are runs of")

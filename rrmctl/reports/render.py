@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import io
 import json
-import sys
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -26,7 +25,7 @@ if TYPE_CHECKING:
 TEXT_VERSION = 2
 
 #: Columns of a terminal: the usual number, enough for space between the columns, and what is taken where nobody looks.
-_USUAL, _ROOMY, _WIDE = 80, 100, 160
+_USUAL, _ROOMY, WIDE = 80, 100, 160
 
 
 def print_terminal(reports: Sequence[Report], console: Console) -> None:
@@ -63,16 +62,6 @@ def _emphasised(text: str, best: bool) -> Text:
     return Text(text, style="bold" if best else "")
 
 
-def console_for(file: Any = None) -> Console:
-    """A console for reports: as wide as the terminal, and wide enough for any table where nobody looks.
-
-    Colours follow the terminal, NO_COLOR and FORCE_COLOR; a given file gets none.
-    """
-    if file is not None:
-        return console(file=file, width=_WIDE, no_color=True, force_terminal=False, highlight=False)
-    return console(width=None if sys.stdout.isatty() else _WIDE, highlight=False)
-
-
 def to_text(reports: Sequence[Report], form: str) -> str:
     """The reports as text ending in a newline; `form` is one of `FORMATS`."""
     return FORMATS[form](reports)
@@ -80,7 +69,7 @@ def to_text(reports: Sequence[Report], form: str) -> str:
 
 def _terminal(reports: Sequence[Report]) -> str:
     file = io.StringIO()
-    print_terminal(reports, console_for(file))
+    print_terminal(reports, console(file, width=WIDE, no_color=True, force_terminal=False))
     return "\n".join(line.rstrip() for line in file.getvalue().rstrip().splitlines()) + "\n"
 
 

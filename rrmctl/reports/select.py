@@ -19,9 +19,10 @@ import numpy as np
 from rrm.envs.tasks import task
 from rrmctl.commands import rrmctl
 from rrmctl.errors import UserError
+from rrmctl.labels import Label
 from rrmctl.reports import mixing, names
 from rrmctl.reports.mixing import Making
-from rrmctl.reports.series import SCORE_COLUMN, Absent, Label, Section, Series, by_seed
+from rrmctl.reports.series import SCORE_COLUMN, Absent, Section, Series, by_seed
 from rrmctl.store.reader import load, open_results, planned
 from rrmctl.store.sweeps import read_sweeps
 from rrmctl.store.trials import read_trial

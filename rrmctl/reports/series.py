@@ -11,6 +11,7 @@ import numpy.typing as npt
 
 from rrm.envs.tasks import Score
 from rrmctl.errors import UserError
+from rrmctl.labels import Label, knows, panels
 from rrmctl.reports.styles import Looks, styles
 from rrmctl.stats import CommonStep, common_step
 from rrmctl.store.trials import Trial
@@ -25,33 +26,6 @@ Steps = npt.NDArray[np.int64]
 
 #: The column of the curve that holds a score.
 SCORE_COLUMN: dict[Score, str] = {"success": "success", "return": "true_return"}
-
-#: What stands for teacher and feedback where nothing is asked; such a series belongs to every panel of its task.
-NOTHING_ASKED = "-"
-ORACLE = "oracle"
-
-
-def knows(method: str) -> bool:
-    """Whether a method learns from the true reward: the oracle, or a variant of it such as oracle-bfloat16."""
-    return method.partition("-")[0] == ORACLE
-
-
-class Label(NamedTuple):
-    """What a series is called in its experiment."""
-
-    task: str
-    method: str
-    teacher: str
-    feedback: str
-
-    @property
-    def knows(self) -> bool:
-        """Whether its method learns from the true reward."""
-        return knows(self.method)
-
-    def __str__(self) -> str:
-        asked = [each for each in (self.teacher, self.feedback) if each != NOTHING_ASKED]
-        return f"{self.task}, {self.method}" + (f" ({', '.join(asked)})" if asked else "")
 
 
 class Absent(NamedTuple):
@@ -78,8 +52,10 @@ class Series:
     rows: pd.DataFrame = field(repr=False)  #: the evaluations of these runs, all columns of the curve
 
     def measure(self, column: str) -> tuple[Steps, Floats]:
-        """A column of the curve at the steps that all runs have: [T], and [S, T] in the order of `seeds`."""
-        return by_seed(self.rows, column)
+        """A column of the curve at the steps that all runs have: [T], and [S, T] in the order of `seeds`; NaN where
+        the runs have no such figure.
+        """
+        return by_seed(self.rows if column in self.rows else self.rows.assign(**{column: float("nan")}), column)
 
     @property
     def n(self) -> int:
@@ -128,7 +104,7 @@ class Panel:
         steps = self.steps()
         if self.score == "return":
             return CommonStep(index=steps.size - 1, step=int(steps[-1]), reached=False, by=())
-        success = {each.label.method: at_steps(each, steps) for each in self.present() if not each.label.knows}
+        success = {each.label.method: at_steps(each, steps) for each in self.present() if not knows(each.label.method)}
         return common_step(steps, success)
 
 
@@ -172,15 +148,12 @@ class Section:
 
     def panels(self) -> tuple[Panel, ...]:
         """The comparisons, in the order of the plan; those without any run are left out."""
+        known = {each.label: each for each in self.series}
         found = []
-        for name in dict.fromkeys(each.label.task for each in self.series):
-            here = [each for each in self.series if each.label.task == name]
-            asked = dict.fromkeys(each.label[2:] for each in here if each.label.teacher != NOTHING_ASKED)
-            for teacher, feedback in asked or {(NOTHING_ASKED, NOTHING_ASKED): None}:
-                own = ((teacher, feedback), (NOTHING_ASKED, NOTHING_ASKED))
-                members = tuple(each for each in here if each.label[2:] in own)
-                if any(each.n for each in members):
-                    found.append(Panel(name, teacher, feedback, members[0].score, members))
+        for where, labels in panels(known).items():
+            members = tuple(known[label] for label in labels)
+            if any(each.n for each in members):
+                found.append(Panel(*where, members[0].score, members))
         return tuple(found)
 
 

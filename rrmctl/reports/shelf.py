@@ -8,9 +8,12 @@ from __future__ import annotations
 
 import ast
 import importlib
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
+
+from rrmctl.errors import check_known
 
 
 @dataclass(frozen=True)
@@ -40,6 +43,16 @@ def entries(folder: str, package: str) -> dict[str, Entry]:
         module = ast.parse(path.read_bytes())
         found[name] = Entry(name, ast.get_docstring(module) or "", f"{package}.{path.stem}", _options(module))
     return found
+
+
+def choose(shelf: Mapping[str, Entry], name: str, kind: str) -> Entry:
+    """The entry of this name.
+
+    Raises:
+        UserError: there is none; with the nearest that there is.
+    """
+    check_known(name, shelf, f'there is no {kind} "{name}"', "there are")
+    return shelf[name]
 
 
 def _options(module: ast.Module) -> tuple[str, ...]:

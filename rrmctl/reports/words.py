@@ -7,7 +7,8 @@ from collections import Counter, defaultdict
 from collections.abc import Iterable, Iterator, Sequence
 from typing import Any
 
-from rrmctl.reports.series import NOTHING_ASKED, Label, Section
+from rrmctl.labels import NOTHING_ASKED, Label
+from rrmctl.reports.series import Section
 from rrmctl.reports.settings import BOOTSTRAP_SEED, SURE, Settings
 from rrmctl.stats import MIN_RUNS, REPLICATES
 
@@ -98,8 +99,7 @@ def short_absent_notes(section: Section) -> Iterator[str]:
     for state, series in by_state.items():
         alike: dict[tuple[str, str], list[str]] = defaultdict(list)
         for label, seeds in series.items():
-            asked = label.task in several and label.teacher != NOTHING_ASKED
-            place = f"{label.task} ({label.teacher}, {label.feedback})" if asked else label.task
+            place = label.place if label.task in several else label.task
             alike[place, _seeds(seeds)].append(label.method)
         which = "; ".join(f"{place}, {', '.join(names)}: {seeds}" for (place, seeds), names in alike.items())
         yield f"Not contained, {state}: {which}."

@@ -32,6 +32,7 @@ _THREAD_VARIABLES = (
 _UNHEARD: dict[int, tuple[ErrorKind, str]] = {
     WorkerExit.STORAGE: (ErrorKind.STORAGE, "the results folder took no write"),
     WorkerExit.REFUSED: (ErrorKind.REFUSED, "it cannot be run"),
+    WorkerExit.WAITING: (ErrorKind.WAITING, "something from outside"),
     WorkerExit.MISSING: (ErrorKind.MISSING, "a file that it was planned with is not there"),
 }
 

@@ -22,13 +22,14 @@ def of_run(folder: RunFolder, episodes: int, seed: int, least_success: float) ->
         UserError: the run is not done, or trains no policy.
         RrmError: its networks are not there, or its policy succeeds too rarely.
     """
+    from rrm.training.config import RunConfig
     from rrm.training.demonstrate import expert_policy
 
     state = run_status(folder).state
     if state is not State.DONE:
         raise UserError(f"run {folder.id} is {state}", "demonstrations come from a run that is done")
     config = load_config(folder)
-    if config.kind != "train":
+    if not isinstance(config, RunConfig):
         raise UserError(f"run {folder.id} trains no policy: it is of kind {config.kind!r}", "name an oracle's run")
     source = {"source": "expert", "expert": config.identity, "expert_steps": config.steps, "method": config.method}
     policy = expert_policy(config, folder.model)

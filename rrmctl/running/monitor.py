@@ -38,11 +38,11 @@ class RunMonitor:
         if lost:
             self.note(f"{len(lost)} evaluations that {self._lease.folder.curve.name} lacks come from the checkpoint")
             with self.writing():
-                self._curve.add(*map(dataclasses.asdict, lost))
+                self._curve.add(*(row.columns() for row in lost))
 
     def row(self, row: EvalRow) -> None:
         """Add an evaluation to the curve; it is on disk when this returns."""
-        values = dataclasses.asdict(row)
+        values = row.columns()
         with self.writing():
             self._curve.add(values)
         shown = {name: _finite(values[name]) for name in ("success", "true_return", "wall_s")}

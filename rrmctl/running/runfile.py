@@ -12,8 +12,7 @@ from rrmctl.store.layout import RunFolder
 from rrmctl.store.reader import CONFIG_HINT, read_config
 
 if TYPE_CHECKING:
-    from rrm.training.config import RunConfig
-    from rrm.training.demos import DemosConfig
+    from rrm.training.kinds import JobConfig
 
 _BACK = (
     "bring it back, then `rrmctl resume` goes on; or run the experiment again with the file where it is now: the same "
@@ -29,7 +28,7 @@ class MissingFileError(UserError):
 _LABELS = ("id", "cell", "method", "config_version", "kind", "steps")
 
 
-def config_content(config: RunConfig | DemosConfig) -> dict[str, Any]:
+def config_content(config: JobConfig) -> dict[str, Any]:
     """What `config.json` holds; `load_config` is the inverse."""
     from rrm.training.config import CONFIG_VERSION
 
@@ -38,7 +37,7 @@ def config_content(config: RunConfig | DemosConfig) -> dict[str, Any]:
     return dict(zip(_LABELS, labels, strict=True)) | config.model_dump(mode="json")
 
 
-def load_config(folder: RunFolder) -> RunConfig | DemosConfig:
+def load_config(folder: RunFolder) -> JobConfig:
     """The run's configuration, checked against its id and against the user's files it names.
 
     Raises:
@@ -48,8 +47,9 @@ def load_config(folder: RunFolder) -> RunConfig | DemosConfig:
     """
     from pydantic import ValidationError
 
-    from rrm.training.config import CONFIG_VERSION, RunConfig
-    from rrm.training.demos import DemosConfig
+    from rrm.errors import UnknownNameError
+    from rrm.training.config import CONFIG_VERSION
+    from rrm.training.kinds import config_class
 
     stored = read_config(folder)
     if stored.get("config_version") != CONFIG_VERSION:
@@ -59,10 +59,13 @@ def load_config(folder: RunFolder) -> RunConfig | DemosConfig:
             "use the rrmctl that wrote it, or run the experiment into another --results folder",
         )
     _check_files(stored)
-    model = DemosConfig if stored.get("kind") == "demos" else RunConfig  # written before there were kinds: a run
+    try:
+        model = config_class(str(stored.get("kind", "train")))  # written before there were kinds: a run
+    except UnknownNameError as error:
+        raise DamagedError(f"{folder.config}: {error}", CONFIG_HINT) from error
     fields = {key: value for key, value in stored.items() if key not in _LABELS or key in model.model_fields}
     try:
-        config = model.model_validate(fields)
+        config: JobConfig = model.model_validate(fields)
     except ValidationError as error:
         raise DamagedError(f"{folder.config} is not a configuration: {error}", CONFIG_HINT) from error
     if config.identity != folder.id:

@@ -175,7 +175,7 @@ class Scheduler:
         if error.kind is ErrorKind.STORAGE:
             self.stop()  # whatever starts next would meet the same folder
             return Phase.STOPPED
-        if error.kind is ErrorKind.MISSING:
+        if error.kind in (ErrorKind.MISSING, ErrorKind.WAITING):
             return Phase.STOPPED  # others may have what they need
         if error.kind not in RETRIED:
             return Phase.FAILED

@@ -28,7 +28,8 @@ from rrmctl.running.monitor import RunMonitor
 from rrmctl.running.runfile import MissingFileError, load_config
 from rrmctl.store import atomic, provenance
 from rrmctl.store.layout import Layout, RunFolder
-from rrmctl.store.lease import Beat, Lease, LeaseLostError
+from rrmctl.store.lease import Lease, LeaseLostError
+from rrmctl.store.owner import Beat
 from rrmctl.store.reader import read_config
 from rrmctl.store.records import ErrorKind, RunError, State, Status, read_status, write_status
 from rrmctl.store.schema import IDENTITY
@@ -36,9 +37,8 @@ from rrmctl.store.writer import CurveWriter
 from rrmctl.streams import attend
 
 if TYPE_CHECKING:
-    from rrm.training.config import RunConfig
-    from rrm.training.demos import DemosConfig
     from rrm.training.jobs import Monitor
+    from rrm.training.kinds import JobConfig
 
 _T = TypeVar("_T")
 
@@ -50,6 +50,7 @@ class WorkerExit(IntEnum):
     CRASHED = 1  #: an exception nobody foresaw; its traceback is in the log
     REFUSED = 2  #: a mistake in what it was given; trying again would not help
     MISSING = 66  #: a file of the user's is not there now
+    WAITING = 69  #: checkpointed; what must come from outside has not come yet
     STORAGE = 74  #: the results folder took no write
     STOPPED = 75  #: checkpointed; the next worker goes on
     LOCKED = 76  #: another process owns the run
@@ -58,12 +59,10 @@ class WorkerExit(IntEnum):
 class Trainer(Protocol):
     """What the worker needs of `rrm.training.jobs`."""
 
-    def perform(
-        self, config: RunConfig | DemosConfig, folder: Path, monitor: Monitor, results: Mapping[str, Path]
-    ) -> bool:
+    def perform(self, config: JobConfig, folder: Path, monitor: Monitor, results: Mapping[str, Path]) -> bool:
         """Do the job until done (True) or told to stop (False); `results`: folders of the runs it requires, by id."""
 
-    def fingerprint(self, config: RunConfig | DemosConfig) -> dict[str, str]:
+    def fingerprint(self, config: JobConfig) -> dict[str, str]:
         """Which environment this is."""
 
 
@@ -164,7 +163,7 @@ def _attempt(
     return WorkerExit.DONE
 
 
-def _finished(folder: RunFolder, curve: CurveWriter, config: RunConfig | DemosConfig) -> bool:
+def _finished(folder: RunFolder, curve: CurveWriter, config: JobConfig) -> bool:
     """True for a run whose worker died between its end and saying so: the last row and the networks are there."""
     if curve.last_step != config.steps or not folder.model.exists():
         return False
@@ -236,7 +235,8 @@ def _report(folder: RunFolder, error: Exception, pipe: Pipe) -> tuple[WorkerExit
 
 def _record_failure(lease: Lease, reason: RunError) -> None:
     # What may not happen again is not the run's end: whether it is tried again, its parent or the next one decides.
-    state = State.FAILED if reason.kind is ErrorKind.REFUSED else State.INTERRUPTED
+    ends = {ErrorKind.REFUSED: State.FAILED, ErrorKind.WAITING: State.WAITING}
+    state = ends.get(reason.kind, State.INTERRUPTED)
     try:
         with lease.writing():
             status = read_status(lease.folder)
@@ -246,7 +246,7 @@ def _record_failure(lease: Lease, reason: RunError) -> None:
 
 
 def _reason(folder: RunFolder, error: Exception) -> tuple[WorkerExit, RunError]:
-    from rrm.errors import MissingResultError, RrmError
+    from rrm.errors import MissingResultError, RrmError, WaitingError
 
     if isinstance(error, OSError) and error.errno in atomic.STORAGE_ERRNOS:
         error = atomic.storage_error(Path(error.filename or folder.path), error, "read or write")
@@ -254,6 +254,8 @@ def _reason(folder: RunFolder, error: Exception) -> tuple[WorkerExit, RunError]:
     if isinstance(error, atomic.StorageError):
         message = f"{error} ({error.todo}, then `{rrmctl('resume', results=folder.results)}` goes on)"
         return WorkerExit.STORAGE, RunError(kind=ErrorKind.STORAGE, type=name, message=message)
+    if isinstance(error, WaitingError):
+        return WorkerExit.WAITING, RunError(kind=ErrorKind.WAITING, type=name, message=str(error))
     if isinstance(error, MissingFileError):
         return WorkerExit.MISSING, RunError(kind=ErrorKind.MISSING, type=name, message=_told(error))
     if isinstance(error, UserError | RrmError):

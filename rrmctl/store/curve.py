@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import zlib
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -10,7 +11,7 @@ from rrmctl.commands import rrmctl
 from rrmctl.store import shape
 from rrmctl.store.atomic import DamagedError
 from rrmctl.store.layout import RunFolder
-from rrmctl.store.schema import CHECKSUM_KEY, IDENTITY, VERSION_KEY, curve_schema
+from rrmctl.store.schema import CHECKSUM_KEY, IDENTITY, MEASURED, VERSION_KEY, curve_schema
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -24,11 +25,13 @@ _TEXTS = [name for name, kind in IDENTITY.items() if kind == "string"]
 
 
 def table_of(rows: list[dict[str, Any]]) -> pa.Table:
-    """Rows, each with every column of the curve, as `decode` gives them back."""
+    """Rows, each with every column but those figures it has none of, as `decode` gives them back."""
     import pyarrow as pa
 
-    schema = curve_schema()
-    table: pa.Table = pa.Table.from_pylist(rows, schema=schema)
+    known = IDENTITY | MEASURED
+    schema = curve_schema(dict.fromkeys(name for row in rows for name in row if name not in known))
+    missing = dict.fromkeys(schema.names[len(known) :], math.nan)
+    table: pa.Table = pa.Table.from_pylist([missing | row for row in rows], schema=schema)
     return table.replace_schema_metadata({**schema.metadata, CHECKSUM_KEY: _checksum(table)})
 
 
@@ -52,11 +55,16 @@ def decode(data: bytes, path: Path) -> pa.Table:
     except (pa.ArrowException, OSError, ValueError, TypeError) as error:  # TypeError: a text that is missing
         raise DamagedError(f"{path} is damaged: {error}", again) from error
     shape.check_version({"schema_version": version}, path, again)
-    if not table.schema.equals(curve_schema()):
+    schema = curve_schema(name for name in table.schema.names if name not in IDENTITY | MEASURED)
+    if sorted(table.schema, key=_name) != sorted(schema, key=_name):
         raise DamagedError(f"{path} is damaged: its columns are not those of a curve", again)
     if metadata.get(CHECKSUM_KEY) != found:
         raise DamagedError(f"{path} is damaged: its content does not match its checksum", again)
-    return table
+    return table.select(schema.names)
+
+
+def _name(field: pa.Field) -> str:
+    return str(field.name)
 
 
 def rerunning(folder: RunFolder) -> str:

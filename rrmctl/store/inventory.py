@@ -9,11 +9,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from rrmctl.labels import Label
 from rrmctl.store.frame import MAYBE_WHOLE, NUMBER, TEXT, frame
 from rrmctl.store.layout import RunFolder
 from rrmctl.store.provenance import read_provenance
 from rrmctl.store.reader import PLANNED_KINDS, open_results, planned, read_config, read_curve
-from rrmctl.store.schema import LABELS, MEASURED, curve_schema
+from rrmctl.store.schema import IDENTITY, LABELS, curve_schema
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -34,12 +35,22 @@ class Run:
     plan: dict[str, Any]  #: its row of `rrmctl.store.planned`
     config: dict[str, Any] | None  #: None where it was never started
     provenance: dict[str, Any] | None  #: None where it was never started
-    curve: pd.DataFrame  #: the columns `MEASURED`, by step; empty before the first evaluation
+    curve: pd.DataFrame  #: the columns `MEASURED` and its figures, by step; empty before the first evaluation
 
     @property
     def id(self) -> str:
         """Sixteen hexadecimal digits."""
         return str(self.plan["run"])
+
+    @property
+    def row(self) -> Label:
+        """What it is called, whatever its seed."""
+        return Label(*(self.plan[name] for name in Label._fields))
+
+    @property
+    def label(self) -> str:
+        """For people, with its seed."""
+        return self.row.seeded(self.plan["seed"])
 
     @property
     def labels(self) -> dict[str, Any]:
@@ -87,7 +98,7 @@ def _run(folder: RunFolder, plan: dict[str, Any]) -> Run:
     rows = read_curve(folder)
     curve: pd.DataFrame = (curve_schema().empty_table() if rows is None else rows).to_pandas(use_threads=False)
     config = read_config(folder) if folder.config.exists() else None
-    return Run(plan=plan, config=config, provenance=read_provenance(folder), curve=curve[list(MEASURED)])
+    return Run(plan=plan, config=config, provenance=read_provenance(folder), curve=curve.drop(columns=list(IDENTITY)))
 
 
 def settings(config: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:

@@ -5,7 +5,7 @@ runs/<id>/provenance.json     versions, machine, code and environment it ran wit
 runs/<id>/curve.parquet       one row per evaluation
 runs/<id>/status.json         state, attempt, progress, error
 runs/<id>/log.txt             everything the worker printed
-runs/<id>/lock, guard, lease.json    who owns the run, see `rrmctl.store.lease`
+runs/<id>/lock, guard, lease.json    who owns the run, see `rrmctl.store.lease` and `owner`
 runs/<id>/checkpoint/         the trainer's own, gone when the run is done
 runs/<id>/model.safetensors   the final networks
 runs/<id>/demos.safetensors   the demonstrations, of a run that collects them

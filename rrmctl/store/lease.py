@@ -1,13 +1,13 @@
 """Who may write into a run's folder: the holder of its lock, for as long as it shows signs of life.
 
     lock        held by the owner until it ends; the system frees the lock of a process that dies, at once
-    lease.json  the owner's token and a count that it raises every few seconds
+    lease.json  the owner's token, its machine, and a count that it raises every few seconds
     guard       held for the moment of every write into the folder, under which the owner sees that it still owns it
 
-A process that is stopped (SIGSTOP, a frozen container) does not die and keeps its lock. Whoever has watched one and
-the same count for `LEASE_S` of its own clock may take the run over: under the guard it puts its own token into the
-lease and a new file in the place of the lock. Should the other one wake, its next write finds a foreign token and does
-not happen.
+A process that is stopped (SIGSTOP, a frozen container) does not die and keeps its lock, and that of one on another
+machine may not be seen here (`rrmctl.store.owner`). Whoever has watched one and the same count for `LEASE_S` of its own
+clock may take the run over: under the guard it puts its own token into the lease and, where the lock is held, a new
+file in its place. Should the other one wake, its next write finds a foreign token and does not happen.
 
 The guard is not taken from anybody: what its holder writes must be whole first. One that was stopped in the middle of
 it is waited for until it wakes or dies.
@@ -25,18 +25,14 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager
-from dataclasses import dataclass
 
 from rrm.files import replace
-from rrmctl.errors import UserError
-from rrmctl.store.atomic import StorageError, is_open_at, read_json, storage_error, try_lock
+from rrmctl.store.atomic import StorageError, is_open_at, storage_error, try_lock
 from rrmctl.store.layout import RunFolder
-from rrmctl.waking import WakingTime
+from rrmctl.store.owner import Beat, lock_free, read_beat
 
 #: How often the owner raises its count, seconds.
 BEAT_S = 2.0
-#: How long others watch a count that does not change before they take the run over, seconds.
-LEASE_S = 30.0
 
 #: How often one who waits for the guard looks whether it is free, seconds.
 _LOOK_S = 0.01
@@ -50,23 +46,6 @@ class LeaseLostError(Exception):
 _NO_MATTER = (LeaseLostError, StorageError, OSError)
 
 
-@dataclass(frozen=True)
-class Beat:
-    """Contents of `lease.json`."""
-
-    owner: str
-    count: int
-
-
-def read_beat(folder: RunFolder) -> Beat | None:
-    """The last sign of life; None where there is none, or none that can be read."""
-    try:
-        value = read_json(folder.lease)
-        return None if value is None else Beat(str(value["owner"]), int(value["count"]))
-    except (UserError, ValueError, TypeError, KeyError):
-        return None
-
-
 class Lease:
     """Ownership of a run, from `take` until `release`. Signs of life are given by a thread of its own."""
 
@@ -77,6 +56,8 @@ class Lease:
         self._owner = secrets.token_hex(8)
         self._count = 0
         self._released = threading.Event()
+        self._inside = False  # of a write
+        self._ending = threading.Lock()  # around its end, and signs of life inside it
         self._umask = os.umask(0o077)  # to be asked it has to be set
         os.umask(self._umask)
         self._write()
@@ -105,7 +86,7 @@ class Lease:
         Raises:
             StorageError: the folder takes no write.
         """
-        lock = try_lock(folder.lock, patience_s)
+        lock = lock_free(folder, patience_s, stale)
         if lock is not None:
             with _guarded(folder, waiting):
                 if is_open_at(lock, folder.lock):
@@ -146,49 +127,39 @@ class Lease:
 
     def _live(self) -> None:
         while not self._released.wait(BEAT_S):
-            with contextlib.suppress(*_NO_MATTER), self._owning(patience_s=BEAT_S):
-                self._write()
+            with contextlib.suppress(*_NO_MATTER):
+                with self._ending:
+                    if inside := self._inside:  # a write that takes long; where the guard is not seen, silence is death
+                        self._see_ownership()
+                        self._write()
+                if not inside:
+                    with self._owning(patience_s=BEAT_S):
+                        self._write()
 
     @contextlib.contextmanager
     def _owning(self, waiting: Callable[[], None] = lambda: None, patience_s: float = math.inf) -> Iterator[None]:
         with _guarded(self.folder, waiting, patience_s):
-            beat = read_beat(self.folder)
-            # One that is gone is not ours either: whoever took the run over has finished with it.
-            if beat is None or beat.owner != self._owner:
-                raise LeaseLostError(f"{self.folder.id} belongs to another process by now")
+            self._see_ownership()
             os.umask(self._umask)  # code of the user's may have set another
-            yield
+            self._inside = True
+            try:
+                yield
+            finally:
+                with self._ending:
+                    self._inside = False
+
+    def _see_ownership(self) -> None:
+        beat = read_beat(self.folder)
+        # One that is gone is not ours either: whoever took the run over has finished with it.
+        if beat is None or beat.owner != self._owner:
+            raise LeaseLostError(f"{self.folder.id} belongs to another process by now")
 
     def _write(self) -> None:
         self._count += 1
         try:
-            replace(self.folder.lease, json.dumps({"owner": self._owner, "count": self._count}).encode())
+            replace(self.folder.lease, json.dumps(Beat(self._owner, self._count).to_json()).encode())
         except OSError as error:
             raise storage_error(self.folder.lease, error) from error
-
-
-class Watch:
-    """Looks at the leases of other processes, by this process' own clock.
-
-    Args:
-        lease_s: how long nothing may follow a sign of life.
-        clock: seconds that this process has lived through.
-    """
-
-    def __init__(self, lease_s: float = LEASE_S, clock: Callable[[], float] | None = None) -> None:
-        self._lease_s = lease_s
-        self._clock = clock or WakingTime()
-        self._seen: dict[str, tuple[Beat | None, float]] = {}
-
-    def expired(self, folder: RunFolder) -> Beat | None:
-        """The owner's last sign of life, if nothing has followed it for the length of a lease: once each time."""
-        beat, now = read_beat(folder), self._clock()
-        before, since = self._seen.get(folder.id, (None, now))
-        silent = beat is not None and beat == before
-        if silent and now - since < self._lease_s:
-            return None
-        self._seen[folder.id] = (beat, now)
-        return beat if silent else None
 
 
 @contextlib.contextmanager

@@ -9,16 +9,18 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from rrm.errors import nearest
 from rrm.files import open_regular, place, read_bounded
 from rrmctl.commands import rrmctl
 from rrmctl.errors import UserError
 from rrmctl.store import shape
-from rrmctl.store.atomic import DamagedError, StorageError, is_locked, read_json, unreadable
+from rrmctl.store.atomic import DamagedError, StorageError, read_json, unreadable
 from rrmctl.store.curve import LARGEST, decode, rerunning
 from rrmctl.store.frame import TEXT, WHOLE, frame, typed
 from rrmctl.store.layout import Layout, RunFolder
+from rrmctl.store.owner import is_owned
 from rrmctl.store.records import ErrorKind, RunError, State, Status, read_status
-from rrmctl.store.schema import LABELS, MEASURED, curve_schema
+from rrmctl.store.schema import IDENTITY, LABELS, curve_schema
 from rrmctl.store.sweeps import JobRecord, Requiring, SweepRecord, read_sweeps
 
 if TYPE_CHECKING:
@@ -27,7 +29,7 @@ if TYPE_CHECKING:
 
 
 def run_status(folder: RunFolder) -> Status:
-    """Where the run stands now: one that says it is running while nobody holds its lock is interrupted.
+    """Where the run stands now: one that says it is running while nobody owns it is interrupted.
 
     A status file that is damaged, or cannot be read now, gives the state `unreadable` with the reason.
 
@@ -36,7 +38,7 @@ def run_status(folder: RunFolder) -> Status:
     """
     try:
         status = read_status(folder)
-        if status.state is State.RUNNING and not is_locked(folder.lock):
+        if status.state is State.RUNNING and not is_owned(folder):
             return dataclasses.replace(status, state=State.INTERRUPTED)
     except (DamagedError, StorageError) as error:
         problem = RunError(kind=ErrorKind.STORAGE, type=type(error).__name__, message=str(error))
@@ -67,7 +69,7 @@ def statuses(layout: Layout, jobs: Iterable[Requiring]) -> dict[str, Status]:
     return {run: look(run) for run in requires}
 
 
-_WAITING = (State.QUEUED, State.INTERRUPTED)
+_WAITING = (State.QUEUED, State.INTERRUPTED, State.WAITING)
 
 
 def blocked_by(run: str, error: RunError | None) -> RunError:
@@ -164,9 +166,10 @@ def load(results: str | Path = "results", experiment: str | None = None) -> pd.D
         experiment: only this one; default all, and runs that no sweep asked for under the experiment "".
 
     Returns:
-        Columns `experiment, variant, profile, task, method, teacher, feedback, seed, run, cell, state`, then those of
-        `rrm.types.EvalRow`: text (`rrmctl.store.frame`), `seed` and what is counted int64, what is measured
-        float64 and NaN where there is nothing. A run that two experiments or two labels share appears once for each.
+        Columns `experiment, variant, profile, task, method, teacher, feedback, seed, run, cell, state`, those of
+        `rrm.types.EvalRow`, then whatever figures the runs have: text (`rrmctl.store.frame`), `seed` and what is
+        counted int64, what is measured float64 and NaN where there is nothing. A run that two experiments or two labels
+        share appears once for each.
 
     Raises:
         UserError: the experiment has never been run here, or a file is damaged; the message names it.
@@ -246,17 +249,21 @@ def find_sweeps(layout: Layout, experiment: str) -> list[SweepRecord]:
     Raises:
         UserError: none was; the message lists what is there.
     """
-    from rrmctl.planning.manifest import nearest
-
     sweeps = read_sweeps(layout, experiment)
     if not sweeps:
-        known = layout.experiments()
-        raise UserError(
-            f"{layout.root} holds no runs of {experiment!r}; it holds: {', '.join(known) or 'nothing yet'}"
-            f"{nearest(experiment, known)}",
-            "`rrmctl list` names what there is to run; or name another folder with --results",
-        )
+        raise never_run(layout, experiment)
     return sweeps
+
+
+def never_run(layout: Layout, *experiments: str) -> UserError:
+    """What to say where the store holds no run of the first of these, or none at all."""
+    known = layout.experiments()
+    if not known:
+        start = rrmctl("run", "quickstart", results=layout.root)
+        return UserError(f"{layout.root} holds no experiment yet", f"start one, e.g. `{start}`")
+    near = nearest(experiments[0], known)
+    start = "" if near else "; `rrmctl list` names what there is to run"
+    return UserError(f'{layout.root} holds no runs of "{experiments[0]}"{near}', f"it holds: {', '.join(known)}{start}")
 
 
 def find_run(layout: Layout, prefix: str) -> RunFolder:
@@ -282,7 +289,7 @@ def _ids(layout: Layout) -> str:
 
 def _planned_row(sweep: SweepRecord, job: JobRecord, status: Status) -> tuple[Any, ...]:
     overrides = json.dumps(sweep.overrides, sort_keys=True)
-    labels = (job.task, job.method, job.teacher, job.feedback, job.seed, job.id, job.cell)
+    labels = (*job.row, job.seed, job.id, job.cell)
     progress = (str(status.state), status.attempt, status.step, job.steps, str(status.error or ""))
     return (sweep.experiment, sweep.variant, sweep.profile, overrides, *labels, *progress)
 
@@ -302,9 +309,9 @@ def _unplanned(layout: Layout, known: set[str]) -> pd.DataFrame:
 
 
 def _curves(layout: Layout, runs: Sequence[str]) -> pd.DataFrame:
-    """`run` and the measured columns of all these runs."""
+    """`run`, the measured columns and the figures of all these runs; NaN where a run has no such figure."""
     import pyarrow as pa
 
     tables = [table for run in runs if (table := read_curve(layout.run(run))) is not None]
-    curves: pa.Table = pa.concat_tables([curve_schema().empty_table(), *tables])
-    return typed(curves.select(["run", *MEASURED]).to_pandas(use_threads=False))
+    curves: pa.Table = pa.concat_tables([curve_schema().empty_table(), *tables], promote_options="default")
+    return typed(curves.drop_columns([name for name in IDENTITY if name != "run"]).to_pandas(use_threads=False))

@@ -17,10 +17,10 @@ from rrmctl.store.atomic import (
     DamagedError,
     read_json,
     set_aside,
-    try_lock,
     write_json,
 )
 from rrmctl.store.layout import RunFolder
+from rrmctl.store.owner import lock_free
 from rrmctl.store.schema import SCHEMA_VERSION
 
 
@@ -30,6 +30,7 @@ class State(StrEnum):
     QUEUED = "queued"  #: asked for, never started
     RUNNING = "running"  #: a living process owns it
     INTERRUPTED = "interrupted"  #: stopped or died before its end; goes on from its checkpoint
+    WAITING = "waiting"  #: checkpointed until answers or the like come from outside; its error says what
     FAILED = "failed"  #: its own fault; see the error
     DONE = "done"
     UNREADABLE = "unreadable"  #: its status file is damaged, or cannot be read now
@@ -47,6 +48,7 @@ class ErrorKind(StrEnum):
     STORAGE = "storage"  #: the results folder took no write
     DAMAGED = "damaged"  #: a file that others make for it is damaged or gone; once that is made again, it goes on
     MISSING = "missing"  #: a file of the user's is not there now
+    WAITING = "waiting"  #: what must come from outside has not come yet
     BLOCKED = "blocked"  #: a run that it needs has failed
 
 
@@ -60,7 +62,7 @@ class RunError:
 
     def __str__(self) -> str:
         # A place, a file or a run is named by the message; the class says no more.
-        named = self.kind in (ErrorKind.STORAGE, ErrorKind.MISSING, ErrorKind.BLOCKED)
+        named = self.kind in (ErrorKind.STORAGE, ErrorKind.MISSING, ErrorKind.WAITING, ErrorKind.BLOCKED)
         return self.message if named else f"{self.type}: {self.message}"
 
     @classmethod
@@ -157,7 +159,7 @@ def record_failure(folder: RunFolder, error: RunError) -> None:
         StorageError: the folder takes no write.
         DamagedError, VersionError: its status is damaged, or of another version.
     """
-    lock = None if error.kind is ErrorKind.DAMAGED else try_lock(folder.lock, PATIENCE_S)
+    lock = None if error.kind is ErrorKind.DAMAGED else lock_free(folder, PATIENCE_S)
     if lock is None:
         return
     try:

@@ -1,6 +1,7 @@
 """The columns of the store's parquet files, and their version.
 
-`curve.parquet` holds one row per evaluation: what the run is, and every field of `rrm.types.EvalRow` (a test compares).
+`curve.parquet` holds one row per evaluation: what the run is, every field of `rrm.types.EvalRow` (a test compares), and
+a column of float64 for each of its figures, by the name that the run's agent or source of rewards gives it.
 The version stands in the file's metadata under `rrmctl.schema_version`.
 """
 
@@ -9,6 +10,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable
+
     import pyarrow as pa
 
 #: Raised by one whenever a column is added, removed, or changes its meaning.
@@ -38,17 +41,11 @@ MEASURED = {
     "success": "float64",
     "queries": "int64",
     "labels": "int64",
-    "label_accuracy": "float64",
-    "true_accuracy": "float64",
     "prior_mean": "float64",
     "residual_mean": "float64",
     "reward_mean": "float64",
     "reward_std": "float64",
     "true_reward_mean": "float64",
-    "critic_loss": "float64",
-    "actor_loss": "float64",
-    "entropy": "float64",
-    "alpha": "float64",
     "wall_s": "float64",
     "steps_per_s": "float64",
 }
@@ -60,9 +57,10 @@ TIMINGS = ("wall_s", "steps_per_s")
 LABELS = ("experiment", "variant", "profile", "task", "method", "teacher", "feedback", "seed")
 
 
-def curve_schema() -> pa.Schema:
-    """The schema of `curve.parquet`, version included."""
+def curve_schema(figures: Iterable[str] = ()) -> pa.Schema:
+    """The schema of a `curve.parquet` with these figures, version included."""
     import pyarrow as pa
 
-    fields: list[Any] = [pa.field(name, kind, nullable=False) for name, kind in (IDENTITY | MEASURED).items()]
+    columns = IDENTITY | MEASURED | dict.fromkeys(figures, "float64")
+    fields: list[Any] = [pa.field(name, kind, nullable=False) for name, kind in columns.items()]
     return pa.schema(fields, metadata={VERSION_KEY: str(SCHEMA_VERSION).encode()})

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any, Protocol, Self
 
 from rrmctl.errors import UserError
+from rrmctl.labels import Label
 from rrmctl.store import shape
 from rrmctl.store.atomic import DamagedError, StorageError, locked, read_json, remove_leftovers, set_aside, write_json
 from rrmctl.store.layout import Layout
@@ -31,20 +32,19 @@ class JobRecord:
     requires: tuple[str, ...] = ()  #: ids of the runs that must be done before it
 
     @property
-    def place(self) -> tuple[str, str, str, str, int]:
+    def row(self) -> Label:
+        """What it is called, whatever its seed."""
+        return Label(self.task, self.method, self.teacher, self.feedback)
+
+    @property
+    def place(self) -> tuple[Label, int]:
         """What it is in a report, where one run can be at a time."""
-        return (self.task, self.method, self.teacher, self.feedback, self.seed)
+        return (self.row, self.seed)
 
     @property
     def label(self) -> str:
         """For people: task, method, teacher and feedback where they say something, seed."""
-        words = [
-            self.task,
-            self.method,
-            *(w for w in (self.teacher, self.feedback) if w not in ("", "-")),
-            f"seed {self.seed}",
-        ]
-        return " ".join(words)
+        return self.row.seeded(self.seed)
 
 
 @dataclass(frozen=True, kw_only=True)

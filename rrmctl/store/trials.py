@@ -17,7 +17,7 @@ class Pairing(NamedTuple):
     """Two methods that are compared, and where."""
 
     task: str
-    teacher: str  #: "-" where nothing is asked
+    teacher: str
     feedback: str
     method: str
     against: str

@@ -7,11 +7,11 @@ import dataclasses
 import os
 import shutil
 from collections.abc import Iterable, Iterator
-from pathlib import Path
 
 from rrm.files import sync_folder
-from rrmctl.store.atomic import PATIENCE_S, locked, storage_error, try_lock, write_json
-from rrmctl.store.layout import Layout
+from rrmctl.store.atomic import PATIENCE_S, locked, storage_error, write_json
+from rrmctl.store.layout import Layout, RunFolder
+from rrmctl.store.owner import lock_free
 from rrmctl.store.sweeps import read_sweeps
 
 
@@ -37,7 +37,7 @@ def remove(layout: Layout, runs: Iterable[str]) -> list[str]:
     with _recording_kept_out(layout):
         for half in (layout.root / "runs").glob(".*.removed"):  # what was begun by one that was killed
             shutil.rmtree(half)
-        gone = [run for run in unused(layout) if run in set(runs) and _remove(layout.run(run).path)]
+        gone = [run for run in unused(layout) if run in set(runs) and _remove(layout.run(run))]
         for sweep in read_sweeps(layout):
             left = tuple(job for job in sweep.superseded if job.id not in gone)
             if left != sweep.superseded:
@@ -54,11 +54,12 @@ def _recording_kept_out(layout: Layout) -> Iterator[None]:
         yield
 
 
-def _remove(folder: Path) -> bool:
+def _remove(run: RunFolder) -> bool:
     """Remove a run's folder, unless a process owns the run. Renamed first: nobody finds half of it."""
-    lock = try_lock(folder / "lock", PATIENCE_S)
+    lock = lock_free(run, PATIENCE_S)
     if lock is None:
         return False
+    folder = run.path
     aside = folder.with_name(f".{folder.name}.removed")
     try:
         folder.rename(aside)

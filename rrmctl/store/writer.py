@@ -27,7 +27,7 @@ class CurveWriter:
         self._folder = folder
         self._identity = {name: identity[name] for name in IDENTITY}
         table = read_curve(folder)
-        rows: list[dict[str, Any]] = [] if table is None else table.select(list(MEASURED)).to_pylist()
+        rows: list[dict[str, Any]] = [] if table is None else table.drop_columns(list(IDENTITY)).to_pylist()
         self._rows = {row["step"]: row for row in rows}
 
     def __len__(self) -> int:
@@ -45,11 +45,14 @@ class CurveWriter:
     def add(self, *rows: Mapping[str, Any]) -> None:
         """Write evaluations, durably; rows of the same steps are replaced.
 
+        Args:
+            rows: the measured columns, and figures.
+
         Raises:
             StorageError: the folder takes no write; the curve on disk holds the rows before.
             KeyError: a row lacks a measured column.
         """
-        held = self._rows | {int(row["step"]): {name: row[name] for name in MEASURED} for row in rows}
+        held = self._rows | {int(row["step"]): {name: row[name] for name in (*MEASURED, *row)} for row in rows}
         table = table_of([self._identity | held[step] for step in sorted(held)])
         write_table(self._folder.curve, table, **SETTINGS)
         self._rows = held

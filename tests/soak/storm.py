@@ -15,6 +15,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from rrmctl.errors import Exit
+from rrmctl.running.local import LocalExecutor
 from rrmctl.running.pool import Assignment, Pool
 from rrmctl.store.reader import run_status
 from rrmctl.store.records import State, read_status
@@ -58,7 +59,8 @@ class Storm:
         """Run it under fire: all end, none twice, every row is there, and no reader sees an error."""
         watcher = Record()
         pool = Pool(
-            layout=self.layout, assignments=self.assigned, slots=WORKERS, watcher=watcher, command=COMMAND
+            layout=self.layout, assignments=self.assigned, slots=WORKERS, watcher=watcher,
+            executor=LocalExecutor(layout=self.layout, command=COMMAND),
         )  # fmt: skip
         began, cpu = time.monotonic(), _children_cpu_s()
         with endlessly(self.kill_one, *readers) as errors:

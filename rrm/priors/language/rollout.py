@@ -12,10 +12,10 @@ import numpy.typing as npt
 
 from rrm.envs.tasks import Task, make
 from rrm.errors import PriorError
-from rrm.interfaces import Floats
 from rrm.priors.evaluate import evaluate_prior
 from rrm.priors.step import PriorStep, Scene
 from rrm.seeding import Streams
+from rrm.types import Floats
 
 EPISODES = 4
 _HELD = 25  # steps for which an action of every other episode is held: single ones cancel out and lead nowhere

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import rrm
-from rrmctl.export.bundle import COLUMNS, RUN_COLUMNS, Bundle, Field
+from rrmctl.export.bundle import RUN_COLUMNS, Bundle, Field, described
 from rrmctl.store.atomic import write_bytes
 from rrmctl.store.inventory import table
 from rrmctl.store.schema import SCHEMA_VERSION
@@ -59,7 +59,10 @@ def write(bundle: Bundle, folder: Path) -> list[Path]:
     files = {
         "evaluations.csv": _text(rows),
         "runs.csv": _text(runs),
-        "datapackage.json": json.dumps(_dictionary(bundle, list(runs.columns)), indent=1, ensure_ascii=False) + "\n",
+        "datapackage.json": json.dumps(
+            _dictionary(bundle, list(rows.columns), list(runs.columns)), indent=1, ensure_ascii=False
+        )
+        + "\n",
     }
     for name, text in files.items():
         write_bytes(folder / name, text.encode())
@@ -71,7 +74,7 @@ def _text(frame: pd.DataFrame) -> str:
     return text
 
 
-def _dictionary(bundle: Bundle, run_columns: list[str]) -> dict[str, Any]:
+def _dictionary(bundle: Bundle, columns: list[str], run_columns: list[str]) -> dict[str, Any]:
     empty = [
         {**run.labels, "run": run.id, "state": run.plan["state"], "error": run.plan["error"]}
         for run in bundle.runs
@@ -83,7 +86,7 @@ def _dictionary(bundle: Bundle, run_columns: list[str]) -> dict[str, Any]:
         "version": str(CSV_VERSION),
         "generator": {"rrmctl": rrm.__version__, "store_schema_version": SCHEMA_VERSION},
         "resources": [
-            _resource("evaluations", COLUMNS),
+            _resource("evaluations", {name: described(name) for name in columns}),
             _resource("runs", {name: (RUN_COLUMNS | OTHER_RUN_COLUMNS)[name] for name in run_columns}),
         ],
         "planned_runs": len(bundle.runs),

@@ -20,7 +20,6 @@ from rrmctl.export.bundle import Bundle
 from rrmctl.export.extras import require
 from rrmctl.store.atomic import write_bytes
 from rrmctl.store.inventory import Run, settings
-from rrmctl.store.schema import MEASURED
 
 if TYPE_CHECKING:
     from tensorboard.compat.proto.event_pb2 import Event
@@ -68,8 +67,7 @@ def write(bundle: Bundle, folder: Path) -> list[Path]:
 def run_folder(run: Run) -> Path:
     """Where a run's events are, below the folder of the export."""
     plan = run.plan
-    asked = [plan[name] for name in ("teacher", "feedback") if plan[name] not in ("", "-")]
-    method = " ".join([plan["method"], *asked])
+    method = " ".join(run.row.words[1:])
     return Path(*map(_as_name, (plan["variant"], plan["task"], method, f"seed-{plan['seed']}-{run.id[:8]}")))
 
 
@@ -92,8 +90,8 @@ def _events(run: Run) -> Iterator[Event]:
     yield Event(wall_time=start, step=0, summary=hyper)
     for row in run.curve.to_dict("records"):
         values = [
-            Summary.Value(tag=tag(column), simple_value=row[column])
-            for column in MEASURED
+            Summary.Value(tag=tag(str(column)), simple_value=row[column])
+            for column in row
             if column != "step" and math.isfinite(row[column])
         ]
         yield Event(wall_time=start + row["wall_s"], step=row["step"], summary=Summary(value=values))

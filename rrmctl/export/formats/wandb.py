@@ -26,7 +26,6 @@ from rrmctl.errors import UserError
 from rrmctl.export.bundle import Bundle
 from rrmctl.export.extras import require
 from rrmctl.store.atomic import read_json, storage_error, write_json
-from rrmctl.store.schema import MEASURED
 
 #: In each exported run's folder: marks it as ours, and says what it holds.
 _MARK = "rrmctl.json"
@@ -59,15 +58,13 @@ def _contents(bundle: Bundle) -> Iterator[dict[str, Any]]:
     for run in bundle.begun:
         plan, start = run.plan, run.started or 0.0
         seen[run.id] += 1  # one that two labels share is there for each of them
-        asked = [str(plan[name]) for name in ("teacher", "feedback") if plan[name] not in ("", "-")]
-        group = " ".join([plan["task"], plan["method"], *asked])
         yield {
             "id": run.id if seen[run.id] == 1 else f"{run.id}-{seen[run.id]}",
             "started": start,
             "init": {
                 "project": bundle.experiment,
-                "group": f"{plan['variant']} {group}",
-                "name": f"{group} seed {plan['seed']}",
+                "group": " ".join([plan["variant"], *run.row.words]),
+                "name": run.label,
                 "job_type": plan["profile"],
                 "tags": [plan["state"]],
                 "config": {**(run.config or {}), "plan": run.labels, "provenance": run.provenance},
@@ -79,7 +76,7 @@ def _contents(bundle: Bundle) -> Iterator[dict[str, Any]]:
 
 
 def _row(row: Mapping[Any, Any], start: float) -> dict[str, Any]:
-    measured = {name: row[name] for name in MEASURED if math.isfinite(row[name])}
+    measured = {name: value for name, value in row.items() if math.isfinite(value)}
     return measured | {"_timestamp": start + row["wall_s"]}
 
 

@@ -11,10 +11,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from rrmctl.labels import knows
 from rrmctl.reports.marks import UNITS, contents, line, methods, score_axis, step_axis
 from rrmctl.reports.notebook import FromFrames, nothing
 from rrmctl.reports.readings import Reading, readings
-from rrmctl.reports.series import Floats, Panel, Section, at_steps, knows
+from rrmctl.reports.series import Floats, Panel, Section, at_steps
 from rrmctl.reports.settings import DEFAULTS, Settings
 from rrmctl.reports.sheet import Shape, panel_title, shape, sheet
 from rrmctl.reports.styles import Looks, Style
@@ -39,7 +40,7 @@ def suits(section: Section) -> bool:
     panels = section.panels()
     schedules = {(panel.task, panel.teacher) for panel in panels}
     return len(schedules) == len(panels) and any(
-        each.n >= MIN_RUNS and not each.label.knows
+        each.n >= MIN_RUNS and not knows(each.label.method)
         for panel in panels
         if panel.comparable()
         for each in panel.present()
@@ -117,7 +118,7 @@ def _draw_rule(axes: Axes, cell: Reading, looks: Looks) -> None:
     (panel,), read = cell.panels, cell.read
     assert read is not None
     steps = panel.steps()
-    learners = [each for each in panel.present() if not each.label.knows]
+    learners = [each for each in panel.present() if not knows(each.label.method)]
     for position, series in enumerate(learners):
         share = 100 * (at_steps(series, steps) >= 1.0).mean(axis=0)
         line(axes, steps, share, looks[series.label.method], position, linewidth=1.0, markersize=3)

@@ -9,9 +9,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
+from rrmctl.labels import ORACLE
 from rrmctl.reports.marks import band, contents, iqm_notes, line, panel_name, score_axis, step_axis
 from rrmctl.reports.notebook import FromFrames, nothing
-from rrmctl.reports.series import ORACLE, Panel, Section, Series, finite
+from rrmctl.reports.series import Panel, Section, Series, finite
 from rrmctl.reports.settings import DEFAULTS, Settings
 from rrmctl.reports.sheet import Cell, cells_sheet
 from rrmctl.reports.styles import ALONE, Style, parts, style

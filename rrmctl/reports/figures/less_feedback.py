@@ -13,11 +13,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from rrmctl.errors import UserError
+from rrmctl.labels import NOTHING_ASKED
 from rrmctl.planning.schedules import Schedule
 from rrmctl.reports.marks import UNITS, contents, methods, score_axis, told
 from rrmctl.reports.notebook import FromFrames, nothing
 from rrmctl.reports.scores import read_together, score
-from rrmctl.reports.series import NOTHING_ASKED, Floats, Section, Series
+from rrmctl.reports.series import Floats, Section, Series
 from rrmctl.reports.settings import DEFAULTS, SURE, Settings
 from rrmctl.reports.sheet import Cell, cells_sheet
 from rrmctl.reports.styles import Looks, Style

@@ -11,9 +11,10 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
+from rrmctl.labels import NOTHING_ASKED
 from rrmctl.reports.document import NOTHING, Grid, Report, counts, highest, interval, number, some
 from rrmctl.reports.scores import read_together, score
-from rrmctl.reports.series import NOTHING_ASKED, Section, Series
+from rrmctl.reports.series import Section, Series
 from rrmctl.reports.settings import DEFAULTS, Settings
 from rrmctl.reports.words import contents_notes, facts, statistics_notes, title
 

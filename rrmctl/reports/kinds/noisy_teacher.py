@@ -13,6 +13,7 @@ import re
 from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
+from rrmctl.labels import NOTHING_ASKED, ORACLE, knows
 from rrmctl.reports import published
 from rrmctl.reports.document import (
     INTERVAL,
@@ -30,7 +31,7 @@ from rrmctl.reports.document import (
     tells_apart,
 )
 from rrmctl.reports.kinds.final import final_rows
-from rrmctl.reports.series import NOTHING_ASKED, ORACLE, Section, knows
+from rrmctl.reports.series import Section
 from rrmctl.reports.settings import DEFAULTS, Settings
 from rrmctl.reports.words import contents_notes, facts, statistics_notes, title
 

@@ -13,12 +13,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from rrmctl.labels import knows
 from rrmctl.planning.profiles import PAPER
 from rrmctl.reports import published
 from rrmctl.reports.document import NOTHING, Grid, Report, highest, interval, number, some
 from rrmctl.reports.published import Checkpoint
 from rrmctl.reports.scores import score
-from rrmctl.reports.series import SCORE_COLUMN, Section, Series, finite, knows
+from rrmctl.reports.series import SCORE_COLUMN, Section, Series, finite
 from rrmctl.reports.settings import DEFAULTS, SURE, Settings
 from rrmctl.reports.words import contents_notes, facts, statistics_notes, title
 

@@ -1,22 +1,22 @@
-"""Lists of runs, settings, versions, cost and commands, as pieces of the page."""
+"""Lists of runs, settings, versions, cost and commands, as parts of the page."""
 
 from __future__ import annotations
 
 import json
 import shlex
-from collections.abc import Iterator, Sequence
-from typing import TYPE_CHECKING
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
 
 from rrmctl.commands import run_commands
+from rrmctl.labels import NOTHING_ASKED
 from rrmctl.reports.accounts import GROUP, common_settings, differing_settings, makings, spending, total
-from rrmctl.reports.page.html import Html, element, joined
-from rrmctl.reports.page.tables import Column, of_rows
-from rrmctl.store.inventory import Run, table
+from rrmctl.reports.page.parts import Column, Part, Table
+from rrmctl.store.inventory import Run
 
 if TYPE_CHECKING:
     import pandas as pd
 
-_WHOLE = "{:,.0f}".format
 #: Groups of runs whose settings fit side by side.
 _FEW = 8
 #: States of runs that need somebody's attention.
@@ -32,115 +32,97 @@ def clock(seconds: float) -> str:
     return f"{whole} s"
 
 
-def parts(name: str, runs: Sequence[Run], needed: Sequence[Run]) -> Iterator[tuple[str, str, Html]]:
-    """Id, title and content of each list; empty ones are left out by who takes them."""
-    yield f"{name}-spent", "Steps, feedback and time", _spent(runs, needed)
-    yield f"{name}-runs", "Runs", _inventory(runs, needed)
-    yield f"{name}-settings", "Settings", _settings(runs)
-    yield f"{name}-versions", "Machines and versions", _makings([*runs, *needed])
-    yield f"{name}-again", "How to reproduce it", _commands(runs)
+_WHOLE = ("runs", "done", "failed", "steps", "queries", "labels", "seed", "step", "planned", "evaluations", "attempt")
+#: Numbers by field, and how they are told; every other field is of words.
+_NUMBERS: dict[str, Callable[[Any], str]] = dict.fromkeys(_WHOLE, "{:,.0f}".format) | {
+    "success": "{:.0%}".format, "true_return": "{:,.1f}".format, "wall_s": clock, "steps_per_s": "{:.3g}".format,
+}  # fmt: skip
+#: Headings that are not their field's name.
+_HEADINGS = {
+    "planned": "Of", "evaluations": "Evaluated", "true_return": "Return", "wall_s": "Time", "steps_per_s": "Steps/s",
+    "attempt": "Attempts",
+}  # fmt: skip
 
 
-def failures(runs: Sequence[Run]) -> Html:
+def columns(*fields: str) -> list[Column]:
+    """Columns of these fields."""
+    heads = [_HEADINGS.get(name, name.capitalize()) for name in fields]
+    return [
+        Column(head, name, name in _NUMBERS, _NUMBERS.get(name, str)) for head, name in zip(heads, fields, strict=True)
+    ]
+
+
+def parts(name: str, runs: Sequence[Run], needed: Sequence[Run]) -> Iterator[Part]:
+    """The lists of a variant."""
+    everything = [*runs, *needed]
+    common = _of_texts("Settings of all runs, values as JSON", common_settings(runs))
+    made = _of_texts("What runs were started with", makings(everything))
+    told = "Training time as the runs recorded it, on the machines below, while others ran beside them or not."
+    lists = [
+        Part(id="spent", title="Steps, feedback and time", paragraphs=[told], tables=[_spent(everything)]),
+        Part(id="runs", title="Runs", tables=[_runs("Planned runs", runs), _runs("Runs that these need", needed)]),
+        Part(id="settings", title="Settings", tables=[_differing(runs), common]),
+        Part(id="versions", title="Machines and versions", tables=[made]),
+        _commands(runs),
+    ]
+    return (replace(part, id=f"{name}-{part.id}", folded=True) for part in lists)
+
+
+def failures(runs: Sequence[Run]) -> list[tuple[str, str]]:
     """Reasons, the most frequent first, with the runs they stopped."""
-    found: dict[str, list[Run]] = {}
+    found: dict[str, list[str]] = {}
     for run in {run.id: run for run in runs}.values():
         if run.plan["state"] in TROUBLE:
-            found.setdefault(run.plan["error"] or "no reason was recorded", []).append(run)
-    items = [
-        element("li", element("pre", reason), element("p", "; ".join(f"{_label(run)} ({run.id})" for run in stopped)))
-        for reason, stopped in sorted(found.items(), key=lambda item: -len(item[1]))
-    ]
-    return element("ul", *items) if items else Html()
+            found.setdefault(run.plan["error"] or "no reason was recorded", []).append(f"{run.label} ({run.id})")
+    return [(why, "; ".join(stopped)) for why, stopped in sorted(found.items(), key=lambda item: -len(item[1]))]
 
 
-def _label(run: Run) -> str:
-    asked = [run.plan[name] for name in ("teacher", "feedback") if run.plan[name] not in ("", "-")]
-    return " ".join([run.plan["task"], run.plan["method"], *asked, f"seed {run.plan['seed']}"])
+def _spent(runs: Sequence[Run]) -> Table:
+    shown = columns(*GROUP, "runs", "done", "steps", "queries", "labels", "wall_s", "steps_per_s")
+    last = dict.fromkeys(GROUP, "") | {"task": "all"} | total(runs)
+    return Table("What was spent", shown, spending(runs).to_dict("records"), last)
 
 
-def _spent(runs: Sequence[Run], needed: Sequence[Run]) -> Html:
-    columns = [Column(name.capitalize()) for name in GROUP]
-    columns += [Column(name, number=True, show=_WHOLE) for name in ("Runs", "Done", "Steps", "Queries", "Labels")]
-    columns += [Column("Time", number=True, show=clock), Column("Steps/s", number=True, show="{:.3g}".format)]
-    everything = [*runs, *needed]
-    last = ["all", *[""] * (len(GROUP) - 1), *total(everything).values()]
-    rows = spending(everything).itertuples(index=False, name=None)
-    told = element(
-        "p", "Training time as the runs recorded it, on the machines below, while others ran beside them or not."
-    )
-    return joined([told, of_rows(columns, rows, "What was spent", last)])
+def _runs(which: str, runs: Sequence[Run]) -> Table:
+    counts = ("step", "planned", "evaluations", "success", "true_return", "labels", "wall_s", "attempt")
+    shown = columns("run", *GROUP, "seed", "state", *counts, "started")
+    return Table(f"{which}, with their last evaluation", shown, [_row(run) for run in runs])
 
 
-def _inventory(runs: Sequence[Run], needed: Sequence[Run]) -> Html:
-    names = ["Run", *(name.capitalize() for name in GROUP)]
-    columns = [*map(Column, names), Column("Seed", number=True, show=_WHOLE), Column("State")]
-    counts = ("Step", "Of", "Evaluated", "Success", "Return", "Labels")
-    shows = {"Success": "{:.0%}".format, "Return": "{:,.1f}".format}
-    columns += [Column(name, number=True, show=shows.get(name, _WHOLE)) for name in counts]
-    columns += [Column("Time", number=True, show=clock), Column("Attempts", number=True, show=_WHOLE)]
-    columns += [Column("Started", show=_minute)]
-    pieces = []
-    for chosen, caption in ((runs, "Planned runs"), (needed, "Runs that these need")):
-        facts = table(chosen).to_dict("records")
-        rows = [_inventory_row(run, fact) for run, fact in zip(chosen, facts, strict=True)]
-        if rows:
-            pieces.append(of_rows(columns, rows, f"{caption}, with their last evaluation"))
-    return joined(pieces)
+def _row(run: Run) -> dict[str, Any]:
+    """What is known of a run, and when it began to the minute, in UTC as it was recorded."""
+    facts, names = run.plan | run.facts(), ["success", "true_return"]
+    scores: dict[Any, Any] = dict.fromkeys(names) if run.curve.empty else run.curve[names].iloc[-1].to_dict()
+    started = (facts["started"] or "")[:16].replace("T", " ") or None
+    return facts | scores | {"planned": facts["steps"], "started": started}
 
 
-def _minute(started: str) -> str:
-    """An ISO 8601 time to the minute, in UTC as it was recorded."""
-    return started[:16].replace("T", " ")
+def _differing(runs: Sequence[Run]) -> Table:
+    """Settings that differ; of few groups of runs with a column for each, called by what tells it from the others."""
+    table = differing_settings(runs)
+    if len(table) <= _FEW:
+        labels = table[[name for name in GROUP if table[name].nunique() > 1]].itertuples(index=False, name=None)
+        table = table.drop(columns=list(GROUP)).T
+        table.columns = [" ".join(name for name in label if name != NOTHING_ASKED) for label in labels]
+        table = table.rename_axis("setting").reset_index()
+    return _of_texts("Settings that differ, values as JSON", table)
 
 
-def _inventory_row(run: Run, fact: dict[object, object]) -> list[object]:
-    scores = run.curve[["success", "true_return"]].iloc[-1] if len(run.curve) else (None, None)
-    before = (fact[name] for name in ("run", *GROUP, "seed", "state", "step", "steps", "evaluations"))
-    return [*before, *scores, *(fact[name] for name in ("labels", "wall_s", "attempt", "started"))]
+def _of_texts(caption: str, table: pd.DataFrame) -> Table:
+    """A frame without numbers."""
+    words = (*GROUP, "setting", "value", "fact")
+    names = [name.capitalize() if name in words else name for name in table.columns]
+    shown = [Column(name, at) for at, name in enumerate(names)]
+    return Table(caption, shown, [*table.itertuples(index=False, name=None)])
 
 
-def _settings(runs: Sequence[Run]) -> Html:
-    """What differs, a column for each group of runs where they are few, and what all have in common."""
-    common, differing = common_settings(runs), differing_settings(runs)
-    pieces = []
-    if len(differing.columns) > len(GROUP):
-        turned = len(differing) <= _FEW
-        shown = _turned(differing) if turned else differing
-        columns = [Column(name.capitalize() if name in GROUP else str(name)) for name in shown.columns]
-        rows = shown.itertuples(index=False, name=None)
-        pieces.append(of_rows(columns, rows, "Settings that differ, values as JSON"))
-    if len(common):
-        rows = common.itertuples(index=False, name=None)
-        pieces.append(of_rows([Column("Setting"), Column("Value")], rows, "Settings of all runs, values as JSON"))
-    return joined(pieces)
-
-
-def _turned(differing: pd.DataFrame) -> pd.DataFrame:
-    """Settings as rows, and a column for each group, called by what tells it from the others."""
-    labels = differing[[name for name in GROUP if differing[name].nunique() > 1]]
-    turned = differing.drop(columns=list(GROUP)).T
-    told = labels.itertuples(index=False, name=None)
-    turned.columns = [" ".join(name for name in label if name != "-") for label in told]
-    return turned.rename_axis("Setting").reset_index()
-
-
-def _makings(runs: Sequence[Run]) -> Html:
-    facts = makings(runs)
-    if len(facts.columns) == 1:
-        return Html()
-    columns = [Column("Fact"), *map(Column, facts.columns[1:])]
-    return of_rows(columns, facts.itertuples(index=False, name=None), "What runs were started with")
-
-
-def _commands(runs: Sequence[Run]) -> Html:
+def _commands(runs: Sequence[Run]) -> Part:
     """The commands that the runs were asked for with; those that ask for all of the plan where none is recorded."""
     asked = [shlex.join(run.provenance["argv"]) for run in runs if run.provenance and run.provenance.get("argv")]
-    told = "As they were typed; given again, each trains what is missing." if asked else "These train what is missing."
-    return joined([element("p", told), element("pre", "\n".join(dict.fromkeys(asked or _whole_plan(runs))))])
-
-
-def _whole_plan(runs: Sequence[Run]) -> list[str]:
-    plan = runs[0].plan
-    wanted = [(run.plan["task"], run.plan["method"], run.plan["seed"]) for run in runs]
-    return run_commands(plan["experiment"], plan["profile"], json.loads(plan["overrides"]), wanted)
+    told = "As they were typed; given again, each trains what is missing."
+    if not asked:
+        plan, told = runs[0].plan, "These train what is missing."
+        wanted = [(run.plan["task"], run.plan["method"], run.plan["seed"]) for run in runs]
+        asked = run_commands(plan["experiment"], plan["profile"], json.loads(plan["overrides"]), wanted)
+    commands = "\n".join(dict.fromkeys(asked))
+    return Part(id="again", title="How to reproduce it", paragraphs=[told], commands=commands)

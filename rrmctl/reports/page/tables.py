@@ -1,90 +1,105 @@
-"""Tables of the page: headed, captioned, sortable, and scrollable where the window is narrow."""
+"""Every table that the sections of a page support, and where on the page it stands."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
-from typing import Any, NamedTuple
+from collections import Counter, defaultdict
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from types import ModuleType
+from typing import TYPE_CHECKING
 
-from rrmctl.reports.document import NOTHING, Grid
-from rrmctl.reports.page.html import Html, element, joined
+from rrmctl.errors import UserError
+from rrmctl.reports.kinds import kinds
+from rrmctl.reports.page.parts import Column, Part, Table, identifier
+from rrmctl.reports.series import Section
+from rrmctl.reports.settings import Settings
 
-#: More rows of one table would make the page slow.
-MOST_ROWS = 2_000
-#: Columns that fit onto a sheet of paper held upright; more are printed across.
-_PORTRAIT = 11
-#: Letters beyond which a cell may be broken into lines.
-_LONG = 40
+if TYPE_CHECKING:
+    from rrmctl.reports.document import Report
+    from rrmctl.reports.judging import Verdict
 
-
-class Column(NamedTuple):
-    """A column of a table."""
-
-    name: str
-    number: bool = False  #: whether it is set and sorted as numbers
-    show: Callable[[Any], str] = str
-
-
-def of_grid(grid: Grid, caption: str) -> Html:
-    """A report's table as people read it."""
-    columns = [Column(name, number=at >= grid.words) for at, name in enumerate(grid.header)]
-    rows = [
-        [_cell(text, columns[at], best=(row, at) in grid.best) for at, text in enumerate(cells)]
-        for row, cells in enumerate(grid.rows)
-    ]
-    return _table(columns, rows, caption)
+#: Experiment and variant; where a table is of several, it stands before their chapters.
+Place = tuple[str, str]
+SEVERAL: Place = ("", "")
+#: What stands first; the rest follows by name.
+_MAIN = ("curves", "iqm", "claims")
+_UNDECIDED: Verdict = "not enough data"
 
 
-def of_rows(columns: Sequence[Column], rows: Iterable[Sequence[Any]], caption: str, last: Sequence[Any] = ()) -> Html:
-    """A table of values; None and NaN are missing.
+@dataclass
+class Tables:
+    """The tables of a page."""
 
-    Args:
-        last: a row of totals, which stays at the end.
+    made: dict[Place, list[tuple[str, Report]]] = field(default_factory=lambda: defaultdict(list))  #: with their kind
+    refused: dict[Place, dict[str, str]] = field(default_factory=lambda: defaultdict(dict))  #: kind -> why not
+
+
+def gather(sections: Sequence[Section], settings: Settings) -> Tables:
+    """The tables of all kinds, made of all sections at once: some kinds compare experiments.
+
+    Where one section stands in the way, each is asked alone. Why a kind has none at all stands at `SEVERAL`.
     """
-    made = [[_shown(value, column) for value, column in zip(row, columns, strict=True)] for row in rows]
-    foot = [_shown(value, column) for value, column in zip(last, columns, strict=True)] if last else []
-    return _table(columns, made, caption, foot)
+    places, found = [(section.experiment, section.variant) for section in sections], Tables()
+    for kind, entry in kinds().items() if sections else ():
+        if kind == "all":  # the others
+            continue
+        reports, reason = _made(entry.load(), sections, settings)
+        if reason:
+            alone = [_made(entry.load(), [section], settings) for section in sections]
+            reports = [report for made, _ in alone for report in made]
+            reasons = zip(places, (why for _, why in alone), strict=True) if reports else [(SEVERAL, reason)]
+            for place, why in reasons:
+                if why:
+                    found.refused[place][kind] = why
+        for report in reports:
+            place = (report.facts["experiment"], report.facts["variant"])
+            found.made[place if place in places else SEVERAL].append((kind, report))
+    return found
 
 
-def _shown(value: Any, column: Column) -> Html:
-    """A cell; HTML stands as it is, and a number goes along exactly, to be sorted by."""
-    import pandas as pd
-
-    if isinstance(value, Html):
-        return element("td", value)
-    if pd.isna(value):
-        return _cell(NOTHING, column)
-    return _cell(column.show(value), column, raw=float(value) if column.number else None)
+def _made(module: ModuleType, sections: Sequence[Section], settings: Settings) -> tuple[list[Report], str]:
+    """A kind's tables, or why there are none."""
+    try:
+        return module.make(sections, settings), ""
+    except UserError as error:
+        return [], str(error)
 
 
-def _cell(text: str, column: Column, *, best: bool = False, raw: float | None = None) -> Html:
-    content = element("strong", text) if best else text
-    kind = "long" if len(text) > _LONG else _kind(column)
-    return element("td", content, class_=kind, data_value=raw)
+def rank(named: tuple[str, object]) -> int:
+    """Where a table or figure of this name stands among others."""
+    return _MAIN.index(named[0]) if named[0] in _MAIN else len(_MAIN)
 
 
-def _table(columns: Sequence[Column], rows: list[list[Html]], caption: str, foot: Sequence[Html] = ()) -> Html:
-    heads = [
-        element("th", element("button", each.name, type="button"), scope="col", class_=_kind(each)) for each in columns
-    ]
-    if len(rows) > MOST_ROWS:
-        caption += f": the first {MOST_ROWS:,} of {len(rows):,} rows; `rrmctl export NAME --to csv -o DIR` writes all"
-    table = element(
-        "table",
-        element("caption", element("span", caption)),
-        element("thead", element("tr", *heads)),
-        element("tbody", joined(map(_row, rows[:MOST_ROWS]))),
-        element("tfoot", _row(foot)) if foot else None,
-    )
-    # Focus lets a keyboard scroll what is wider than the window.
-    wide = " wide" if len(columns) > _PORTRAIT else ""
-    return element("div", table, class_=f"scroll{wide}", role="region", aria_label=caption, tabindex=0)
+def tables_at(place: Place, name: str, gathered: Tables) -> Part:
+    """The tables of a place, the notes that several share once, and why others are not there."""
+    made = sorted(gathered.made[place], key=rank)
+    counted = Counter(note for _, report in made for note in dict.fromkeys(report.notes))
+    shared = [note for note, count in counted.items() if count > 1]
+    seen: Counter[str] = Counter()
+    parts = []
+    for kind, report in made:
+        seen[kind] += 1
+        title = f"{report.title}. " if place == SEVERAL else ""
+        caption = f"{title}{kinds()[kind].help.splitlines()[0]} (rrmctl report {kind})"
+        id_ = f"{name}-{identifier(kind)}" + (f"-{seen[kind]}" if seen[kind] > 1 else "")
+        notes = [note for note in report.notes if note not in shared]
+        parts.append(replace(_table(report, caption), id=id_, notes=notes))
+    reasons = [f"{kind}: {why}" for kind, why in gathered.refused[place].items()]
+    parts.append(Part(title="On several of these tables", notes=shared))
+    parts.append(Part(title="Tables with nothing to show", notes=reasons, folded=True))
+    return Part(id=f"{name}-tables", title="Tables", parts=parts)
 
 
-def _kind(column: Column) -> str | None:
-    return "number" if column.number else None
-
-
-def _row(cells: Sequence[Html]) -> Html:
-    """The first cell heads its row."""
-    first = Html(cells[0].replace("<td", '<th scope="row"', 1).removesuffix("</td>") + "</th>")
-    return element("tr", first, *cells[1:])
+def _table(report: Report, caption: str) -> Part:
+    """The table; of claims those that are decided, and the others folded below."""
+    grid = report.grid
+    columns = [Column(name, at, at >= grid.words) for at, name in enumerate(grid.header)]
+    table = Table(caption, columns, grid.rows, best=grid.best)
+    if "Verdict" not in grid.header:
+        return Part(tables=[table])
+    verdict = grid.header.index("Verdict")
+    undecided = [row for row in grid.rows if row[verdict].startswith(_UNDECIDED)]
+    decided = replace(table, rows=[row for row in grid.rows if row not in undecided])
+    told = f"{len(decided.rows)} of {len(grid.rows)} claims are decided by these runs."
+    others = Part(title=f"{len(undecided)} claims: {_UNDECIDED}", tables=[replace(table, rows=undecided)], folded=True)
+    return Part(paragraphs=[told], tables=[decided], parts=[others])

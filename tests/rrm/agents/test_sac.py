@@ -73,7 +73,7 @@ def test_equals_textbook(obs: int, act: int, hidden: int, layers: int, rows: int
         noise_next, noise = torch.empty(act, 2 * rows).normal_(generator=draws).t().split(rows)
         expected = plain.update(batch, noise_next, noise)
         sac.update(batch)
-        assert expected == pytest.approx(sac.metrics(), rel=1e-4, abs=1e-5)
+        assert expected == pytest.approx(sac.figures(), rel=1e-4, abs=1e-5)
         for ours, theirs in ((sac.actor, plain.actor), (sac.critic, plain.critics)):
             expected_grad = flat_grads(theirs)
             # As a whole: a unit that rounding puts on the other side of zero changes a few entries and not the sum.
@@ -114,13 +114,13 @@ def test_saturated_policy_stays_finite() -> None:
     sac.actor.flat[-16:] = 40.0
     for seed in range(3):
         sac.update(make_batch(16, 5, 2, seed))
-    assert all(math.isfinite(figure) for figure in sac.metrics().values())
+    assert all(math.isfinite(figure) for figure in sac.figures().values())
     assert sac.actor.flat.isfinite().all()
 
 
 def test_metrics_before_the_first_update() -> None:
     """Before the first update every figure is NaN."""
-    figures = Sac(SMALL, 5, 2, Streams(0)).metrics()
+    figures = Sac(SMALL, 5, 2, Streams(0)).figures()
     assert list(figures) == ["critic_loss", "actor_loss", "entropy", "alpha"]
     assert all(math.isnan(figure) for figure in figures.values())
 
@@ -208,7 +208,7 @@ def test_other_batch_sizes() -> None:
     sac = Sac(SMALL, 5, 2, Streams(2))
     for rows in (7, 16, 1):
         sac.update(make_batch(rows, 5, 2, rows))
-    assert all(math.isfinite(figure) for figure in sac.metrics().values())
+    assert all(math.isfinite(figure) for figure in sac.figures().values())
 
 
 def test_q_values() -> None:

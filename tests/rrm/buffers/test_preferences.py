@@ -11,7 +11,7 @@ def test_the_oldest_labels_give_way():
     """At most `capacity` labels stay, and they are the newest."""
     preferences = Preferences(3, 2)
     for i in range(5):
-        preferences.add(np.array([[i, i + 10]]), np.array([i % 2], np.int8))
+        preferences.add(np.array([[i, i + 10]]), np.array([i % 2], np.float32))
     assert len(preferences) == 3
     assert {2, 3, 4} == set(preferences.pairs[:, 0].tolist())
 
@@ -19,10 +19,10 @@ def test_the_oldest_labels_give_way():
 def test_a_restored_ring_goes_on_at_the_same_place():
     """Saved and restored, the next label replaces the same one."""
     first, second = Preferences(3, 2), Preferences(3, 2)
-    first.add(np.arange(10).reshape(5, 2), np.zeros(5, np.int8))
+    first.add(np.arange(10).reshape(5, 2), np.zeros(5, np.float32))
     second.load_state_dict(first.state_dict())
     for preferences in (first, second):
-        preferences.add(np.array([[77, 78]]), np.array([1], np.int8))
+        preferences.add(np.array([[77, 78]]), np.array([1], np.float32))
     np.testing.assert_array_equal(first.pairs, second.pairs)
     np.testing.assert_array_equal(first.labels, second.labels)
 
@@ -31,7 +31,7 @@ def test_labelled_segments_are_the_rows_asked_about():
     """Pairs come with their steps and the probability that the second is preferred; equal means one half."""
     experience = lived([6, 6])
     preferences = Preferences(10, 3)
-    preferences.add(np.array([[0, 7], [1, 2], [8, 3]]), np.array([FIRST, EQUAL, SECOND], np.int8))
+    preferences.add(np.array([[0, 7], [1, 2], [8, 3]]), np.array([FIRST, EQUAL, SECOND], np.float32))
     feedback = StoredFeedback(experience, preferences, PairRing(1, 3), batch=2)
     first, second, target = feedback.pairs(torch.tensor([[0, 1], [2, 0]]))
     assert target.tolist() == [[0.0, 0.5], [1.0, 0.0]]
@@ -47,7 +47,7 @@ def test_the_newest_labels_are_those_given_last():
     assert feedback.newest().tolist() == []
     seen = []
     for i in range(6):
-        preferences.add(np.array([[i, i + 10]]), np.array([FIRST], np.int8))
+        preferences.add(np.array([[i, i + 10]]), np.array([FIRST], np.float32))
         seen.append(preferences.pairs[feedback.newest().numpy(), 0].tolist())
     assert seen == [[0], [0, 1], [0, 1, 2], [1, 2, 3], [2, 3, 4], [3, 4, 5]]
 

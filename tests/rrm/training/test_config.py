@@ -35,7 +35,7 @@ def test_the_defaults_are_the_papers():
 OTHER = {int: lambda v: v + 1, float: lambda v: v * 0.5 if v else 0.25, str: None, bool: None}
 #: Values that are not reached by arithmetic, or that need a partner to mean anything.
 SPECIAL = {
-    "agent": {}, "evaluation": {"success": "last"}, "teacher": {"beta": 1.0},
+    "agent": {"kind": None}, "evaluation": {"success": "last"}, "teacher": {"beta": 1.0},
     "reward": {"learner": "true", "prior": "proxy", "normaliser": None, "surf": None, "mrn": None,
                "bound": None, "penalty": None, "prior_run": None, "squash": None},
     "feedback": {"sampler": "uniform", "schedule": "decay"}, "exploration": {"neighbours": None},

@@ -96,7 +96,7 @@ def test_a_run_in_pieces_is_the_run(imitating, results, recorder, networks, tmp_
         together.rows |= piece.rows
     assert straight.numbers() == together.numbers()
     assert networks(tmp_path / "a") == networks(tmp_path / "b")
-    if config.reward.is_learned:
+    if config.reward.kind.learned:
         tables = [pq.read_table(tmp_path / name / "gradients.parquet") for name in "ab"]
         assert tables[0].equals(tables[1])
 
@@ -265,14 +265,15 @@ def test_the_discriminator_sees_the_newest_transitions(imitating, results):
     """At its steps alone, from as many as the window holds."""
     trainer = Trainer(imitating(), results)
     seen = []
-    kept = trainer.experience.sample
+    replay = trainer.sources["adversarial"]._replay
+    kept = replay.draw
 
-    def sample(count, generator, *, newest=None):
+    def draw(count, generator, *, newest=None, **options):
         if newest is not None:
             seen.append((trainer.step, newest))
-        return kept(count, generator, newest=newest)
+        return kept(count, generator, newest=newest, **options)
 
-    trainer.experience.sample = sample
+    replay.draw = draw
     for _ in range(260):
         trainer.advance()
     assert sorted(set(seen)) == [(step, 150) for step in (100, 150, 200, 250)]
@@ -285,11 +286,11 @@ def test_the_window_leaves_older_transitions_out(imitating, results):
     trainer = Trainer(imitating(), results)
     for _ in range(200):
         trainer.advance()
-    experience = trainer.experience
+    experience, replay = trainer.experience, trainer.sources["adversarial"]._replay
     last = {tuple(row.tolist()) for row in experience.obs[experience.since(150)]}
-    drawn = experience.sample(400, torch.Generator().manual_seed(0), newest=50)
+    drawn = replay.draw(400, torch.Generator().manual_seed(0), newest=50)
     assert {tuple(row.tolist()) for row in drawn.obs} == last
-    assert len(experience.newest(50).obs) == 50
+    assert len(replay.newest(50).obs) == 50
     trainer.close()
 
 
@@ -301,18 +302,20 @@ def test_fine_tuning_goes_on_with_everything_but_the_loss(imitating, results):
         trainer.advance()
     agent, transitions = trainer.agent.state_dict(), trainer.experience.transitions
     critic = trainer.agent._critic_adam.state_dict()["steps"].item()
-    before = trainer.imitation.airl.discriminator.state_dict()
+    before = trainer.sources["adversarial"].airl.discriminator.state_dict()
     trainer.advance()
     assert trainer.agent.updates == agent["updates"] + 1
     assert trainer.agent._critic_adam.state_dict()["steps"].item() == critic + 1
     assert trainer.experience.transitions == transitions + 1
-    after = trainer.imitation.airl.discriminator.state_dict()
+    after = trainer.sources["adversarial"].airl.discriminator.state_dict()
     assert not torch.equal(before["g"], after["g"])
     assert torch.equal(before["h"], after["h"])
     rows = trainer.experience.since(0)
-    g = trainer.imitation.airl.discriminator.g.predict(trainer.experience.obs[rows], trainer.experience.act[rows])
+    g = trainer.sources["adversarial"].airl.discriminator.g.predict(
+        trainer.experience.obs[rows], trainer.experience.act[rows]
+    )
     torch.testing.assert_close(trainer.experience.reward[rows], g)
-    assert trainer.sessions.requested == 10
+    assert trainer.sources["preferences"].queries == 10
     trainer.close()
 
 

@@ -1,5 +1,6 @@
 """Stopping anywhere and going on gives the run that was never stopped."""
 
+import math
 import shutil
 import subprocess
 import sys
@@ -57,15 +58,21 @@ def test_a_run_in_pieces_is_the_run(tiny, recorder, networks, tmp_path, method, 
     assert set(straight.logged) <= set(pieces.logged)
 
 
-def test_what_a_learner_says_of_itself_is_logged(tiny, recorder, tmp_path):
-    """Beside each evaluation stand the learner's own figures; PEBBLE has none."""
-    for name, figures in (("pebble", []), ("surf", ["pseudo_labelled"]), ("mrn", ["meta_gradient", "meta_cosine"])):
+def test_what_agent_and_learner_say_of_themselves_is_in_the_row(tiny, recorder, tmp_path):
+    """The figures of SAC, those of learning from preferences, and the learner's own; the oracle has the first alone."""
+    sac = {"critic_loss", "actor_loss", "entropy", "alpha"}
+    asked = sac | {"label_accuracy", "true_accuracy"}
+    mrn = {"meta_gradient", "meta_cosine", "meta_steps"}
+    for name, figures in (
+        ("true", sac),
+        ("pebble", asked),
+        ("surf", asked | {"pseudo_labelled"}),
+        ("mrn", asked | mrn),
+    ):
         monitor = recorder()
         train(tiny(name, mrn=MrnConfig(every=20)), tmp_path / name, monitor)
-        lines = [line for line in monitor.logged if line.startswith(("step 250: ", "step 500: ", "step 700: "))]
-        assert len(lines) == (3 if figures else 0)
-        assert all(f"{figure} " in line for line in lines for figure in figures)
-        assert "nan" not in "".join(lines)
+        assert [set(row.figures) for row in monitor.rows.values()] == [figures] * 3
+        assert all(map(math.isfinite, monitor.rows[700].figures.values()))
 
 
 def test_checkpoints_at_other_times_change_nothing(tiny, recorder, networks, tmp_path):
@@ -169,7 +176,9 @@ def test_numbers_that_are_not_finite_stop_the_run(tiny, recorder, tmp_path, monk
             trainer.agent.critic.flat[0] = torch.nan
         elif what == "reward" and trainer.step == 250:
             weights = trainer.weights()["reward"]["weights"]
-            trainer.sessions.learner.reward.load_state_dict({"weights": torch.full_like(weights, torch.nan)})
+            trainer.sources["preferences"].learner.reward.load_state_dict(
+                {"weights": torch.full_like(weights, torch.nan)}
+            )
 
     config = tiny(steps=300, evaluation=EvaluationConfig(every=100, episodes=1))
     monkeypatch.setattr(Trainer, "advance", poisoned)

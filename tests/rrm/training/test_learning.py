@@ -42,5 +42,5 @@ def test_preferences_alone_teach_the_true_order(recorder, tmp_path, learner):
     monitor, mrn = recorder(), MrnConfig(every=1000)
     reward = RewardConfig(learner=learner, hidden=64, layers=2, lr=1e-3, minibatch=64, epochs=20, mrn=mrn)
     train(run(reward, 6000), tmp_path, monitor)
-    assert monitor.rows[6000].true_accuracy > 0.75
+    assert monitor.rows[6000].figures["true_accuracy"] > 0.75
     assert monitor.rows[6000].labels == 220

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 import torch
 
+from rrm.buffers.replay import Replay
 from rrm.config import MrnConfig, SurfConfig
 from rrm.errors import ConfigError, NumericalError, PriorError
 from rrm.interfaces import Needs
@@ -31,11 +32,16 @@ def traced(tiny, monkeypatch):
 
         monkeypatch.setattr(trainer.agent, "update", traced_update)
         monkeypatch.setattr(trainer.agent, "reset_critic", traced_reset)
-        if trainer.sessions is not None:
-            hold = trainer.sessions.hold
-            monkeypatch.setattr(trainer.sessions, "hold", lambda s: (log.append((s, "session")), hold(s)))
-            entropy = trainer.entropy
-            monkeypatch.setattr(trainer, "entropy", lambda d: (log.append((trainer.step, "entropy")), entropy(d))[1])
+        if "preferences" in trainer.sources:
+            ask, scaled = trainer.sources["preferences"].teacher.ask, trainer.sources["entropy"].scaled
+            monkeypatch.setattr(
+                trainer.sources["preferences"].teacher, "ask",
+                lambda queries: (log.append((trainer.step, "session")), ask(queries)),
+            )  # fmt: skip
+            monkeypatch.setattr(
+                trainer.sources["entropy"], "scaled",
+                lambda distance: (log.append((trainer.step, "entropy")), scaled(distance))[1],
+            )  # fmt: skip
         for _ in range(steps):
             trainer.advance()
         trainer.close()
@@ -57,14 +63,14 @@ def test_pebbles_schedule_is_b_prefs(traced):
     updates = when(log, "update")
     assert updates.count(150) == 5
     assert sorted(set(updates)) == list(range(101, 480))
-    assert [trainer.sessions.requested, trainer.sessions.labelled] == [25, 25]
+    assert [trainer.sources["preferences"].queries, trainer.sources["preferences"].labels] == [25, 25]
 
 
 def test_the_budget_ends_the_sessions(traced):
     """The last session asks for what is left; none comes after it."""
     trainer, log = traced(620)
     assert when(log, "session") == [150, 300, 450]
-    assert trainer.sessions.requested == 25
+    assert trainer.sources["preferences"].queries == 25
 
 
 def test_the_oracle_updates_after_its_random_steps(traced):
@@ -95,7 +101,7 @@ def test_stored_rewards_are_what_the_reward_says_now(traced):
     trainer, _ = traced(333, prior="proxy")
     experience = trainer.experience
     rows = experience.since(0)
-    predicted = trainer.sessions.learner.reward.predict(
+    predicted = trainer.sources["preferences"].learner.reward.predict(
         experience.obs[rows], experience.act[rows], experience.prior[rows]
     )
     torch.testing.assert_close(predicted, experience.reward[rows], atol=1e-6, rtol=0)
@@ -180,7 +186,7 @@ def test_a_refined_reward_is_what_the_batch_is_trained_on(tiny, monkeypatch):
     trainer = Trainer(tiny(prior="proxy"))
     for _ in range(200):
         trainer.advance()
-    learner, seen = trainer.sessions.learner, []
+    learner, seen = trainer.sources["preferences"].learner, []
 
     def refine(batch, agent, feedback):
         with torch.no_grad():
@@ -215,18 +221,19 @@ def test_a_prior_beyond_float32_is_refused(tiny, tmp_path):
 def test_the_teacher_sees_the_middle_of_what_surf_sees(tiny, monkeypatch):
     """Segments are stored with their margins inside one episode; the true rewards told are those without."""
     trainer, asked = Trainer(tiny("surf", surf=SurfConfig(margin=7))), []
-    label = trainer.sessions.teacher.label
-    monkeypatch.setattr(trainer.sessions.teacher, "label", lambda rewards: (asked.append(rewards), label(rewards))[1])
+    teacher = trainer.sources["preferences"].teacher
+    prefer = teacher.prefer
+    monkeypatch.setattr(teacher, "prefer", lambda *rewards: (asked.append(rewards), prefer(*rewards))[1])
     for _ in range(320):
         trainer.advance()
     assert [rewards[0].shape for rewards in asked] == [(10, 10), (10, 10)]
-    starts = trainer.sessions.preferences.pairs
+    starts = trainer.sources["preferences"].preferences.pairs
     steps = starts[..., None] + 7 + np.arange(10)
     told = np.concatenate([np.stack(rewards, axis=1) for rewards in asked])
     np.testing.assert_array_equal(trainer.experience.true_reward.numpy()[steps], told)
-    for pairs in (starts, trainer.sessions.unlabelled.pairs):
+    for pairs in (starts, trainer.sources["preferences"].unlabelled.pairs):
         assert ((pairs % 51) + 24 <= 50).all()  # 50 steps of an episode, and a row for its last observation
-    first, _, _ = trainer.sessions._feedback.pairs(torch.arange(3))
+    first, _, _ = trainer.sources["preferences"].feedback.pairs(torch.arange(3))
     assert first.obs.shape == (3, 24, 15)
 
 
@@ -236,20 +243,20 @@ def test_pairs_without_a_label_are_drawn_for_every_query(tiny):
     for trainer in (few, many):
         for _ in range(151):
             trainer.advance()
-    assert [len(t.sessions.unlabelled) for t in (few, many)] == [20, 90]
-    np.testing.assert_array_equal(few.sessions.preferences.pairs, many.sessions.preferences.pairs)
+    assert [len(t.sources["preferences"].unlabelled) for t in (few, many)] == [20, 90]
+    np.testing.assert_array_equal(*(t.sources["preferences"].preferences.pairs for t in (few, many)))
     for _ in range(400):
         many.advance()
-    assert len(many.sessions.unlabelled) == 9 * 25
-    assert len(Trainer(tiny()).sessions.unlabelled) == 0
+    assert len(many.sources["preferences"].unlabelled) == 9 * 25
+    assert len(Trainer(tiny()).sources["preferences"].unlabelled) == 0
 
 
 def refined(tiny, monkeypatch, steps, **fields):
     """At which steps MRN's reward is refined, and the batches it is given."""
     trainer, calls = Trainer(tiny("mrn", **fields)), []
-    refine = trainer.sessions.learner.refine
+    refine = trainer.sources["preferences"].learner.refine
     monkeypatch.setattr(
-        trainer.sessions.learner, "refine",
+        trainer.sources["preferences"].learner, "refine",
         lambda batch, *rest: (calls.append((trainer.step, batch)), refine(batch, *rest))[1],
     )  # fmt: skip
     for _ in range(steps):
@@ -267,10 +274,10 @@ def test_mrn_refines_between_sessions_until_the_questions_are_spent(tiny, monkey
 def test_the_update_after_a_refinement_is_on_the_new_reward(tiny, monkeypatch):
     """Reward of the batch and of everything stored are what the reward says after its step on the outer loss."""
     trainer, _ = refined(tiny, monkeypatch, 225, mrn=MrnConfig(every=75), prior="proxy")
-    seen, update, before = [], trainer.agent.update, trainer.sessions.learner.reward.state_dict()["weights"]
+    learned = trainer.sources["preferences"].learner.reward
+    seen, update, before = [], trainer.agent.update, learned.state_dict()["weights"]
     monkeypatch.setattr(trainer.agent, "update", lambda batch: (seen.append(batch), update(batch)))
     trainer.advance()
-    learned = trainer.sessions.learner.reward
     assert not torch.equal(before, learned.state_dict()["weights"])
     torch.testing.assert_close(learned.predict(seen[0].obs, seen[0].act, seen[0].prior), seen[0].reward)
     rows, past = trainer.experience.since(0), trainer.experience
@@ -282,12 +289,12 @@ def test_time_limits_end_an_episode_where_mrns_code_has_it_so(tiny, monkeypatch)
     trainer, calls = refined(tiny, monkeypatch, 226, mrn=MrnConfig(every=75, faithful_done=True))
     generator = torch.Generator().manual_seed(0)
     whole, cut = (
-        trainer.experience.sample(4000, generator.manual_seed(0), time_limits_end=end) for end in (False, True)
+        Replay(trainer.experience, 4000, generator.manual_seed(0)).sample(time_limits_end=end) for end in (False, True)
     )
     assert whole.continues.min() == 1
     assert (cut.continues == 0).float().mean() == pytest.approx(1 / 50, abs=0.01)
     assert torch.equal(whole.obs, cut.obs)
-    trainer.sessions.learner.needs = Needs(refine_every=1, time_limits_end=True)
+    trainer.sources["preferences"].learner.needs = Needs(refine_every=1, time_limits_end=True)
     while all(batch.continues.min() == 1 for _, batch in calls):
         trainer.advance()
         assert trainer.step < 320

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import json
 import signal
 import time
@@ -51,7 +50,7 @@ def train(root: Path, manifest: str = "toy-car", seeds: int = 10, failed: tuple[
         noise = np.random.default_rng([job.seed, *job.method.encode()]).uniform(-0.1, 0.1)
         curve = CurveWriter(folder, content | {"run": job.id})
         for step in (steps // 2, steps):
-            curve.add(dataclasses.asdict(row(step, job.seed, success=LEVELS[job.method] + noise)))
+            curve.add(row(step, job.seed, success=LEVELS[job.method] + noise).columns())
         state = State.FAILED if failed == (job.method, job.seed) else State.DONE
         error = ERROR if state is State.FAILED else None
         write_status(folder, Status(state=state, attempt=1, step=steps, steps=steps, rows=2, wall_s=6.0, error=error))

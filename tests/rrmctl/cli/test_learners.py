@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import re
+import math
 from pathlib import Path
 
 import pytest
@@ -10,7 +10,6 @@ from typer.testing import CliRunner
 
 from rrmctl.cli.app import app
 from rrmctl.store import load, planned
-from rrmctl.store.layout import Layout
 
 EXPERIMENTS = Path(__file__).parents[3] / "experiments"
 
@@ -22,7 +21,7 @@ EXPERIMENTS = Path(__file__).parents[3] / "experiments"
     [("surf", "button-press,sweep-into", "pseudo_labelled"), ("mrn", "door-open,button-press", "meta_gradient")],
 )
 def test_a_smoke_sweep(tmp_path: Path, name: str, tasks: str, figure: str) -> None:
-    """Every run of the manifest ends, has learned from labels, and its log has the learner's own figures."""
+    """Every run of the manifest ends, has learned from labels, and its curve has the learner's own figures."""
     arguments = ["run", name, "--experiments", str(EXPERIMENTS), "--profile", "smoke", "--seeds", "1"]
     result = CliRunner().invoke(app, [*arguments, "--tasks", tasks, "--results", str(tmp_path)])
     assert result.exit_code == 0, result.output
@@ -35,5 +34,4 @@ def test_a_smoke_sweep(tmp_path: Path, name: str, tasks: str, figure: str) -> No
     for (_, method), row in last.iterrows():
         learns = method != "oracle"
         assert (row["labels"] > 0) == learns
-        log = Layout(tmp_path).run(row["run"]).log.read_text()
-        assert (re.search(rf"step 600: .*{figure} \d", log) is not None) == learns
+        assert math.isfinite(row[figure]) == learns

@@ -7,13 +7,13 @@ import re
 from pathlib import Path
 
 import pytest
-from rich.console import Console
 
 from rrmctl.cli.live import Bars, Lines, score
 from rrmctl.running.pool import Assignment
 from rrmctl.running.scheduler import Ending, Outcome, Phase
 from rrmctl.store.layout import Layout
 from rrmctl.store.records import ErrorKind, RunError
+from rrmctl.terminal import console
 
 JOBS = [Assignment(id=run, label=f"t pebble seed {seed}", steps=1000) for seed, run in enumerate("ab")]
 
@@ -40,7 +40,7 @@ def lines(tmp_path: Path, **options: object) -> list[str]:
     layout = Layout(tmp_path)
     layout.run("b").path.mkdir(parents=True)
     layout.run("b").log.write_text("first\nTraceback: boom\n")
-    tell(Lines(Console(file=out, width=60, **options), layout, JOBS))
+    tell(Lines(console(out, width=60, **options), layout, JOBS))
     return [re.sub(r"\d\d:\d\d:\d\d", "TIME", line) for line in out.getvalue().splitlines()]
 
 
@@ -70,7 +70,7 @@ def test_no_colour_where_none_is_wanted(tmp_path: Path, monkeypatch: pytest.Monk
 def test_a_mistake_is_told_without_its_log(tmp_path: Path) -> None:
     """The message says it all."""
     out = io.StringIO()
-    view = Lines(Console(file=out, width=200), Layout(tmp_path), JOBS)
+    view = Lines(console(out, width=200), Layout(tmp_path), JOBS)
     view.ended("a", failure(ErrorKind.REFUSED), Phase.FAILED)
     assert out.getvalue().count("\n") == 1
 
@@ -78,7 +78,7 @@ def test_a_mistake_is_told_without_its_log(tmp_path: Path) -> None:
 def test_bars(tmp_path: Path) -> None:
     """A bar per running job with step rate, last score and time left; one for all; gone when the job is over."""
     out = io.StringIO()
-    view = Bars(Console(file=out, width=120, force_terminal=True), Layout(tmp_path), JOBS)
+    view = Bars(console(out, width=120, force_terminal=True), Layout(tmp_path), JOBS)
     view.started("a", 1)
     view.started("b", 1)
     view.beat("a", 500, 10.0)

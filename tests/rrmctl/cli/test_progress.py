@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from rrmctl.cli.progress import Group, errors, group_by_row, group_by_sweep, speeds
+from rrmctl.cli.progress import Group, errors, group_by_row, group_by_sweep
 from rrmctl.store.records import ErrorKind, RunError, State, Status
+from rrmctl.store.speeds import speeds
 from rrmctl.store.sweeps import JobRecord, SweepRecord
 
 

@@ -17,7 +17,6 @@ import pytest
 from typer.testing import CliRunner, Result
 
 from rrmctl.cli import introduction
-from rrmctl.cli import run as run_command
 from rrmctl.cli.app import app
 from rrmctl.cli.request import Request, forecast
 from rrmctl.store import load, planned
@@ -28,6 +27,7 @@ from rrmctl.store.records import ErrorKind, RunError, State, Status, read_status
 from rrmctl.store.schema import TIMINGS
 from rrmctl.store.sweeps import read_sweeps
 from rrmctl.store.writer import CurveWriter
+from rrmctl.terminal import console
 from tests.rrmctl.running.standin import prepare, row
 
 EXPERIMENTS = Path(__file__).parents[3] / "experiments"
@@ -109,9 +109,7 @@ def test_the_introduction_bears_profiles_that_cannot_hold_the_request(
     """`run` advises on a large sweep without stumbling over other profiles, and notes a budget too large to spend."""
     monkeypatch.setattr(introduction, "LARGE_H", 0.0)
     request = Request("toy-car", EXPERIMENTS, "smoke", overrides=["steps=450", "feedback.budget=1000000"])
-    introduction.introduce(
-        run_command._progress_console(), request, forecast(request.plan(), Layout(tmp_path)), slots=1
-    )
+    introduction.introduce(console(sys.stderr), request, forecast(request.plan(), Layout(tmp_path)), slots=1)
     said = capsys.readouterr().err
     assert "of 1,000,000 questions fit into 450 steps: toy-car pebble" in said
     assert "smaller: a part of it" in said
@@ -223,7 +221,7 @@ def test_show(tmp_path: Path) -> None:
     config = json.loads(folder.config.read_text())
     curve = CurveWriter(folder, config | {"run": folder.id})
     for step in range(10, 80, 10):
-        curve.add(dataclasses.asdict(row(step, success=0.8)))
+        curve.add(row(step, success=0.8).columns())
     folder.log.write_text("".join(f"line {n}\n" for n in range(50)))
     write_status(folder, Status(state=State.FAILED, attempt=2, step=70, steps=400, error=ERROR))
     out = call("show", folder.id[:8], "--lines", "3", "--results", tmp_path).stdout
@@ -245,7 +243,7 @@ def test_show_for_programs(tmp_path: Path) -> None:
     layout, ids = finished(tmp_path)
     folder = layout.run(ids[0])
     curve = CurveWriter(folder, json.loads(folder.config.read_text()) | {"run": folder.id})
-    curve.add(dataclasses.asdict(row(30)) | {"critic_loss": float("nan"), "actor_loss": float("inf")})
+    curve.add(row(30).columns() | {"critic_loss": float("nan"), "actor_loss": float("inf")})
     folder.log.write_text("one\ntwo\n")
     told = json.loads(call("show", ids[0], "--json", "--results", tmp_path).stdout, parse_constant=pytest.fail)
     assert (told["run"], told["state"]["state"], told["config"]["method"]) == (ids[0], "done", "oracle")
@@ -278,7 +276,7 @@ def finished(root: Path) -> tuple[Layout, list[str]]:
         config = json.loads(folder.config.read_text())
         curve = CurveWriter(folder, config | {"run": run})
         for step in (10, 20):
-            curve.add(dataclasses.asdict(row(step, config["seed"])))
+            curve.add(row(step, config["seed"]).columns())
         write_status(folder, dataclasses.replace(read_status(folder), rows=2))
     return layout, ids
 

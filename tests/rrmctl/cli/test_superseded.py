@@ -65,7 +65,7 @@ class Workshop:
             record_config(folder, content)
             if not folder.curve.exists() and state is State.DONE:
                 CurveWriter(folder, content | {"run": job.id}).add(
-                    *(dataclasses.asdict(row(step, success=1.0)) for step in (steps // 2, steps))
+                    *(row(step, success=1.0).columns() for step in (steps // 2, steps))
                 )
             write_status(folder, Status(state=state, attempt=1, step=steps, steps=steps, rows=2, wall_s=6.0))
         asked = [word for each in overrides for word in ("--set", each)]

@@ -24,7 +24,7 @@ from rrmctl.store.atomic import write_json
 from rrmctl.store.inventory import inventory, table
 from rrmctl.store.layout import Layout
 from rrmctl.store.schema import MEASURED
-from tests.rrmctl.reports.frames import Sweep
+from tests.rrmctl.reports.frames import FIGURES, Sweep
 
 TASK = "button-press"
 #: One of three runs is done, one failed on its way, one was never begun.
@@ -70,7 +70,8 @@ def test_csv_reads_back_exactly(results, tmp_path):
     texts = dict.fromkeys((name for name, column in COLUMNS.items() if column.kind == "string"), str)
     back = pd.read_csv(tmp_path / "out" / "evaluations.csv", dtype=texts)
     wanted = load(results, "main-results").astype({"seed": "int64"})
-    pd.testing.assert_frame_equal(wanted[list(COLUMNS)], back, check_dtype=False)
+    assert list(back.columns) == [*COLUMNS, *FIGURES]
+    pd.testing.assert_frame_equal(wanted[list(back.columns)], back, check_dtype=False)
 
 
 def test_csv_tells_of_every_planned_run(results, tmp_path):
@@ -104,7 +105,7 @@ def test_tensorboard_reads_its_files(results, tmp_path):
     assert len(content(tmp_path / "tb")) == len(runs) == 2
     for run in runs:
         events = EventAccumulator(str(tmp_path / "tb" / run_folder(run))).Reload()
-        assert {tag(column) for column in MEASURED if column != "step"} == set(events.Tags()["scalars"])
+        assert {tag(column) for column in (*MEASURED, *FIGURES) if column != "step"} == set(events.Tags()["scalars"])
         success = events.Scalars("eval/success")
         assert [event.step for event in success] == list(run.curve["step"])
         np.testing.assert_allclose([event.value for event in success], run.curve["success"], rtol=1e-6)

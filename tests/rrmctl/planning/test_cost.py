@@ -10,10 +10,11 @@ import pytest
 from rrm.training.config import RunConfig
 from rrmctl.cli.request import job_record
 from rrmctl.planning import manifest
-from rrmctl.planning.cost import estimate, measure_gemm, model_seconds, stored_rates
+from rrmctl.planning.cost import estimate, measure_gemm, model_seconds
 from rrmctl.planning.plan import Plan, make_plan
 from rrmctl.store.layout import Layout
 from rrmctl.store.records import State, Status, write_status
+from rrmctl.store.speeds import stored_speeds
 from rrmctl.store.sweeps import SweepRecord, record_sweep
 
 GIGA = 1e9
@@ -97,7 +98,7 @@ def test_stored_speeds_come_first(tmp_path: Path) -> None:
     plan = toy()
     done = Status(state=State.DONE, step=15_000, steps=15_000, wall_s=30.0, steps_per_s=1.0)
     layout = store(tmp_path, plan, done)
-    rates = stored_rates(layout)
+    rates = stored_speeds(layout)
     assert rates == {("toy-car", "oracle", "paper"): 500.0}
     cost = estimate(plan, rates, 100 * GIGA)
     assert {job.method for job in plan.jobs if job.id in cost.measured} == {"oracle"}
@@ -111,7 +112,7 @@ def test_speed_of_unfinished_runs(tmp_path: Path) -> None:
     """An unfinished run tells its latest speed; the median over seeds counts; a run that never moved says nothing."""
     plan = toy(methods=["oracle"], seeds="4")
     speeds = [Status(state=State.INTERRUPTED, step=10, steps=15_000, steps_per_s=s) for s in (100.0, 400.0, 200.0)]
-    assert stored_rates(store(tmp_path, plan, *speeds, Status())) == {("toy-car", "oracle", "paper"): 200.0}
+    assert stored_speeds(store(tmp_path, plan, *speeds, Status())) == {("toy-car", "oracle", "paper"): 200.0}
 
 
 def test_states_that_are_known_are_not_read_again(tmp_path: Path) -> None:
@@ -119,12 +120,12 @@ def test_states_that_are_known_are_not_read_again(tmp_path: Path) -> None:
     plan = toy(methods=["oracle"], seeds="2")
     layout = store(tmp_path, plan, *[Status(state=State.DONE, step=100, wall_s=1.0)] * 2)
     known = {plan.jobs[0].id: Status(state=State.DONE, step=300, wall_s=1.0)}
-    assert stored_rates(layout, known) == {("toy-car", "oracle", "paper"): 200.0}
+    assert stored_speeds(layout, known) == {("toy-car", "oracle", "paper"): 200.0}
 
 
 def test_empty_store(tmp_path: Path) -> None:
     """Nothing stored, nothing known."""
-    assert stored_rates(Layout(tmp_path / "absent")) == {}
+    assert stored_speeds(Layout(tmp_path / "absent")) == {}
 
 
 def test_this_core_multiplies() -> None:

@@ -468,7 +468,7 @@ def test_every_experiment_plans(path: Path, scale: str) -> None:
     plan = make_plan(manifest.load(path), profile=scale)
     assert plan.jobs
     for job in plan.jobs:
-        assert (job.config.sessions() > 0) == job.config.reward.is_learned
+        assert (job.config.sessions() > 0) == job.config.reward.kind.learned
 
 
 def test_smoke_passes_through_everything() -> None:

@@ -32,6 +32,10 @@ RECORDED = {
 RETURN_TASKS = ("walker-walk", "quadruped-walk")
 
 
+#: What agents and sources of rewards say of themselves.
+FIGURES = ("label_accuracy", "true_accuracy", "critic_loss", "actor_loss", "entropy", "alpha")
+
+
 @dataclass
 class Sweep:
     """One variant of an experiment, from which runs can be taken out or changed."""
@@ -79,14 +83,14 @@ class Sweep:
             key = (job["task"], job["method"], job["seed"])
             curve = self.curves[job["method"]][job["seed"]]
             for number, success in enumerate(curve[: self.lengths.get(key, len(curve))], start=1):
-                measured = dict.fromkeys(MEASURED, 0.0) | {"step": self.every * number, "episodes": 10}
+                measured = dict.fromkeys((*MEASURED, *FIGURES), 0.0) | {"step": self.every * number, "episodes": 10}
                 measured |= {"success": success, "true_return": 1000.0 * success}
                 measured |= {name: at[number - 1] for name, at in self.measured.get(job["method"], {}).items()}
                 if job["task"] in RETURN_TASKS:
                     measured["success"] = float("nan")
                 labels = {name: job[name] for name in PLANNED[:3] + PLANNED[4:12]}
                 rows.append(labels | measured)
-        return pd.DataFrame(rows, columns=[*PLANNED[:3], *PLANNED[4:12], *MEASURED])
+        return pd.DataFrame(rows, columns=[*PLANNED[:3], *PLANNED[4:12], *MEASURED, *FIGURES])
 
     def frames(self) -> tuple[pd.DataFrame, pd.DataFrame]:
         return self.rows(), self.jobs()
@@ -117,7 +121,8 @@ class Sweep:
                 write_json(folder.provenance, {"schema_version": 1, "resumed": [], **self.recorded.get(key, RECORDED)})
             write_json(folder.config, told | {"evaluation": {"success": "any", "deterministic": True}})
             write_status(folder, Status(state=State(job["state"]), steps=400))
-            curve = rows[rows["run"] == job["run"]][[*IDENTITY, *MEASURED]].astype({"queries": int, "labels": int})
+            curve = rows[rows["run"] == job["run"]][[*IDENTITY, *MEASURED, *FIGURES]]
+            curve = curve.astype({"queries": int, "labels": int})
             if len(curve):
                 write_table(folder.curve, table_of(curve.to_dict("records")), **SETTINGS)
 

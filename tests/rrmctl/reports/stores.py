@@ -8,7 +8,7 @@ import pandas as pd
 from rrmctl.reports.select import sections
 from rrmctl.store.reader import PLANNED
 from rrmctl.store.schema import MEASURED
-from tests.rrmctl.reports.frames import digits
+from tests.rrmctl.reports.frames import FIGURES, digits
 
 FULL = "50@5000/5000"
 
@@ -39,7 +39,7 @@ def frames(experiment, series, *, steps, profile="paper", variant=None, override
             who = (experiment, variant or profile, profile, json.dumps(overrides or {}))
             jobs.append((*who, *label, seed, run, cell, state, 1, 0, own[-1], ""))
             for at, step in enumerate(own[: len(columns["success"][seed])]):
-                measured = dict.fromkeys(MEASURED, 0.0) | {"step": step, "episodes": 10}
+                measured = dict.fromkeys((*MEASURED, *FIGURES), 0.0) | {"step": step, "episodes": 10}
                 measured |= {name: values[seed][at] for name, values in columns.items()}
                 labels = dict(zip(PLANNED[4:12], (*label, seed, run, cell, state), strict=True))
                 rows.append(dict(zip(PLANNED[:3], who[:3], strict=True)) | labels | measured)

@@ -3,12 +3,12 @@ import pandas as pd
 import pytest
 from scipy.stats import mannwhitneyu, trim_mean
 
+from rrmctl.labels import Label
 from rrmctl.reports.contests import against, decide, every_pair
 from rrmctl.reports.kinds import kinds
 from rrmctl.reports.kinds.power import COLUMNS, make
 from rrmctl.reports.render import to_text
 from rrmctl.reports.select import sections
-from rrmctl.reports.series import Label
 from rrmctl.reports.settings import Settings
 from rrmctl.store.trials import Pairing, Trial
 from tests.rrmctl.reports.frames import RISING, SATURATED, Sweep

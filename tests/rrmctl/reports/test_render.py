@@ -8,10 +8,11 @@ import pytest
 
 from rrmctl.reports.kinds import kinds
 from rrmctl.reports.kinds.iqm import make
-from rrmctl.reports.render import FORMATS, console_for, print_terminal, to_text
+from rrmctl.reports.render import FORMATS, print_terminal, to_text
 from rrmctl.reports.select import sections
 from rrmctl.reports.settings import Settings
 from rrmctl.reports.words import EXPLAINED
+from rrmctl.terminal import console
 from tests.rrmctl.reports.frames import RISING, Sweep
 
 GOLDEN = Path(__file__).with_name("golden")
@@ -137,9 +138,7 @@ def test_a_section_without_runs_is_only_words():
 def test_a_narrow_terminal_loses_nothing(width):
     """Cells are folded at the width of the terminal, never cut off, and no line is longer."""
     file = io.StringIO()
-    console = console_for(file)
-    console.width = width
-    print_terminal(made(Sweep()), console)
+    print_terminal(made(Sweep()), console(file, width=width))
     text = file.getvalue()
     assert max(map(len, text.splitlines())) <= width
     assert "…" not in text

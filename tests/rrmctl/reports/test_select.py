@@ -4,8 +4,9 @@ import pytest
 
 from rrm.errors import UnknownNameError
 from rrmctl.errors import UserError
+from rrmctl.labels import Label
 from rrmctl.reports.select import of_profile, read_sections, sections
-from rrmctl.reports.series import Label, at_steps
+from rrmctl.reports.series import at_steps
 from tests.rrmctl.reports.frames import FEEDBACK, RISING, SATURATED, Sweep
 
 

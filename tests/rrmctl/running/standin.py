@@ -2,7 +2,7 @@
 
 What a run does is said in the environment variable STANDIN: a JSON object from seed (as text) to behaviour, with
 "other" for seeds it does not name. It happens five steps after half the run, between two checkpoints; "gate" means
-to wait there for a file `go` in the results root.
+to wait there for a file `go` in the results root. STANDIN_HOST names the machine that it lives on, see `live_on`.
 """
 
 from __future__ import annotations
@@ -16,23 +16,37 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 from rrm.config import EvaluationConfig, ExplorationConfig, RewardConfig
-from rrm.errors import PriorError
+from rrm.errors import PriorError, WaitingError
 from rrm.training.config import RunConfig
 from rrm.types import EvalRow
 from rrmctl.running import lifeline, worker
 from rrmctl.running.monitor import RunMonitor
 from rrmctl.running.pool import Assignment
 from rrmctl.running.runfile import config_content
-from rrmctl.store.layout import Layout
+from rrmctl.store import lease, owner
+from rrmctl.store.layout import Layout, RunFolder
 from rrmctl.store.records import record_config
 from rrmctl.store.sweeps import JobRecord, SweepRecord, record_sweep
 
 COMMAND = (sys.executable, __file__)
 STEP_S = 0.002
+
+
+def live_on(host: str, set_: Callable[[Any, str, Any], None] = setattr) -> None:
+    """Have this process live on a machine of that name, whose locks are not seen on others."""
+    set_(owner, "HERE", owner.Machine(host, f"boot of {host}"))
+    set_(lease, "BEAT_S", 0.2)
+    for name in ("lock", "guard"):
+        set_(RunFolder, name, property(lambda folder, name=name: folder.path / f"{name} of {host}"))
+
+
+if "STANDIN_HOST" in os.environ:
+    live_on(os.environ["STANDIN_HOST"])
 
 
 def config(seed: int, steps: int = 40, every: int = 10) -> RunConfig:
@@ -66,7 +80,7 @@ def expected(seeds: range, steps: int = 40, every: int = 10) -> list[tuple[int, 
 
 def row(step: int, seed: int = 0, **changes: float) -> EvalRow:
     """The evaluation of a policy that knows its step and seed alone."""
-    values: dict[str, Any] = {name: float("nan") for name in EvalRow.__dataclass_fields__}
+    values: dict[str, Any] = {name: float("nan") for name in EvalRow.__dataclass_fields__ if name != "figures"}
     values |= {"step": step, "episodes": 10, "queries": 0, "labels": 0, "wall_s": 1.0, "steps_per_s": 100.0}
     values |= {"true_return": seed * 1000.0 + step, "success": 0.5}
     return EvalRow(**(values | changes))
@@ -124,6 +138,10 @@ def misbehave(behaviour: str, folder: Path, monitor: RunMonitor) -> None:
             raise RuntimeError("boom")
         case "crash-once" if first:
             raise RuntimeError("boom, but once")
+        case "wait" if not (folder.parents[1] / "answers").exists():
+            with monitor.writing():
+                save(folder / "checkpoint" / "step", monitor.status.step)
+            raise WaitingError("3 answers of its teacher")
         case "refuse":
             raise PriorError("prior returned NaN at step 20")
         case "segfault":

@@ -17,8 +17,10 @@ import pytest
 from rrmctl.errors import Exit
 from rrmctl.running.scheduler import Outcome, Phase
 from rrmctl.store.atomic import is_locked, try_lock
-from rrmctl.store.records import read_status
-from tests.rrmctl.running.standin import prepare
+from rrmctl.store.layout import RunFolder
+from rrmctl.store.owner import read_beat
+from rrmctl.store.records import State, read_status
+from tests.rrmctl.running.standin import expected, live_on, prepare
 from tests.rrmctl.running.test_pool import (
     PARENT,
     Record,
@@ -26,10 +28,13 @@ from tests.rrmctl.running.test_pool import (
     attempts,
     behave,
     children,
+    go,
     half_way,
     meanwhile,
     parent,
     pool,
+    rows,
+    states,
     until,
 )
 from tests.rrmctl.store.test_lease import stopped_in_a_write
@@ -138,9 +143,44 @@ def test_an_owner_stopped_in_a_write_is_asked_after_once_a_lease(tmp_path: Path)
     assert watcher.ends[Phase.ELSEWHERE] <= said + 1
 
 
+def test_the_runs_of_another_machine_are_taken_over_when_it_is_dead(
+    tmp_path: Path, behave: Callable[..., None], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Two machines that do not see each other's locks: while one lives the other waits, for longer than a lease."""
+    behave(other="gate")
+    layout, assigned = prepare(tmp_path, range(2))
+    folders = [layout.run(job.id) for job in assigned]
+    monkeypatch.setenv("STANDIN_HOST", "one")
+    with parent(tmp_path, 2, 2) as one:
+        pids = half_way(layout, assigned)
+        monkeypatch.setenv("STANDIN_HOST", "two")
+        live_on("two", monkeypatch.setattr)
+        watcher, seen = Record(), []
+
+        def kill() -> None:
+            before = count(folders)
+            until(lambda: count(folders) > before + 20)
+            seen.extend((*states(layout, assigned), *attempts(layout, assigned), *watcher.phases.values()))
+            for pid in (one.pid, *pids):
+                os.kill(pid, signal.SIGKILL)
+            go(layout)
+
+        with meanwhile(kill):
+            assert pool(layout, assigned, watcher, lease_s=3.0).run() is Exit.DONE
+    assert seen == [State.RUNNING, State.RUNNING, 1, 1, Phase.ELSEWHERE, Phase.ELSEWHERE]
+    assert len([note for note in watcher.notes if "sign of life" in note]) >= 2
+    assert attempts(layout, assigned) == [2, 2]
+    assert rows(tmp_path) == expected(range(2))
+
+
+def count(folders: list[RunFolder]) -> int:
+    """Signs of life that each of these runs has had at least."""
+    return min(beat.count if (beat := read_beat(folder)) else 0 for folder in folders)
+
+
 def test_a_parent_that_was_stopped_with_its_worker_does_not_blame_it(tmp_path: Path) -> None:
     """Both stand still for longer than a hang takes, and the parent wakes first: the attempt goes on."""
-    script = PARENT.replace("lease_s=lease_s", "hang_after_s=15.0")
+    script = PARENT.replace("command=COMMAND)", "command=COMMAND, hang_after_s=15.0)")
     layout, assigned = prepare(tmp_path, range(1), 3000)
     folder = layout.run(assigned[0].id)
     command = [sys.executable, "-c", script, str(tmp_path), "1", "1", "3000", "30"]

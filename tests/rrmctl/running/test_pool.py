@@ -18,8 +18,11 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
+from typer.testing import CliRunner
 
+from rrmctl.cli.app import app
 from rrmctl.errors import Exit
+from rrmctl.running.local import LocalExecutor
 from rrmctl.running.pool import Assignment, Pool
 from rrmctl.running.scheduler import Outcome, Phase
 from rrmctl.store import load
@@ -35,11 +38,13 @@ import sys
 from pathlib import Path
 from tests.rrmctl.running.standin import COMMAND, prepare
 from tests.rrmctl.running.test_pool import Record
+from rrmctl.running.local import LocalExecutor
 from rrmctl.running.pool import Pool
 root, (jobs, slots, steps, lease_s) = Path(sys.argv[1]), map(int, sys.argv[2:])
 layout, assigned = prepare(root, range(jobs), steps)
 sys.exit(Pool(
-    layout=layout, assignments=assigned, slots=slots, watcher=Record(), command=COMMAND, lease_s=lease_s
+    layout=layout, assignments=assigned, slots=slots, watcher=Record(), lease_s=lease_s,
+    executor=LocalExecutor(layout=layout, command=COMMAND),
 ).run())
 """
 
@@ -88,7 +93,9 @@ def behave(monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
 
 
 def pool(layout: Layout, assigned: list[Assignment], watcher: Record | None = None, **options: object) -> Pool:
-    settings: dict[str, object] = {"slots": 3, "command": COMMAND} | options
+    own = {name: options.pop(name) for name in ("hang_after_s", "memory_limit", "command") if name in options}
+    executor = LocalExecutor(layout=layout, **({"command": COMMAND} | own))
+    settings: dict[str, object] = {"slots": 3, "executor": executor} | options
     return Pool(layout=layout, assignments=assigned, watcher=watcher or Record(), **settings)
 
 
@@ -161,6 +168,25 @@ def half_way(layout: Layout, assigned: list[Assignment]) -> list[int]:
 def go(layout: Layout) -> None:
     """Open the gate."""
     (layout.root / "go").touch()
+
+
+def test_a_run_that_waits_gives_its_slot_to_the_others(tmp_path: Path, behave: Callable[..., None]) -> None:
+    """Its process leaves, it is no failure, `status` says for what; once that has come, it goes on where it was."""
+    behave(s0="wait")
+    layout, assigned = prepare(tmp_path, range(2))
+    watcher = Record()
+    assert pool(layout, assigned, watcher, slots=1).run() is Exit.INCOMPLETE
+    assert states(layout, assigned) == [State.WAITING, State.DONE]
+    assert watcher.errors == ["3 answers of its teacher"]
+    told = CliRunner().invoke(app, ["status", "--results", str(tmp_path)]).stdout
+    assert "1 run waiting for 3 answers of its teacher" in told
+    (tmp_path / "answers").touch()
+    layout, again = prepare(tmp_path, range(1))
+    later = Record()
+    assert pool(layout, again, later).run() is Exit.DONE
+    assert later.notes == ["from step 25"]
+    assert attempts(layout, assigned) == [2, 1]
+    assert rows(tmp_path) == expected(range(2))
 
 
 def test_every_job_is_run_once_and_recorded(tmp_path: Path) -> None:

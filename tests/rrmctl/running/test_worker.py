@@ -7,13 +7,17 @@ import json
 import os
 import signal
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
+from typing import ClassVar
 
 import pytest
 
-from rrm.config import FeedbackConfig, ImitationConfig, RewardConfig
+from rrm.config import FeedbackConfig, ImitationConfig, RewardConfig, Section
+from rrm.envs.tasks import TASKS, Task
 from rrm.training.config import RunConfig
+from rrm.training.kinds import JOBS, JobKind
+from rrmctl.running.monitor import RunMonitor
 from rrmctl.running.runfile import config_content, load_config
 from rrmctl.running.worker import WorkerExit, main
 from rrmctl.store import provenance, shape
@@ -326,3 +330,43 @@ def test_a_retry_forgets_the_error_of_the_attempt_before(folder: RunFolder) -> N
     assert work(folder) is WorkerExit.DONE
     status = read_status(folder)
     assert (status.attempt, status.error) == (5, None)
+
+
+class CountConfig(Section):
+    """A job of a kind of its own: it writes down how many steps it was asked for."""
+
+    kind: ClassVar[str] = "count"
+
+    profile: str = "paper"
+    task: str = "toy-car"
+    seed: int = 0
+    steps: int = 3
+    precision: str = "float32"
+    threads: int = 1
+    method: ClassVar[str] = "count"
+    requires: ClassVar[tuple[str, ...]] = ()
+    identity: ClassVar[str] = "00000000c0c0c0c0"
+    cell: ClassVar[str] = "00000000c0c0c0c0"
+
+    def canonical(self) -> CountConfig:
+        return self
+
+    def spec(self) -> Task:
+        return TASKS[self.task]
+
+
+def count(config: CountConfig, folder: Path, monitor: RunMonitor, results: Mapping[str, Path]) -> bool:
+    with monitor.writing():
+        (folder / "counted").write_text(str(config.steps))
+    return True
+
+
+def test_a_kind_of_job_of_ones_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A configuration, a function and a line in the table: it is recorded, checked, done and told like ours."""
+    monkeypatch.setitem(JOBS, "count", JobKind(f"{__name__}:CountConfig", f"{__name__}:count"))
+    folder = Layout(tmp_path).run(CountConfig().identity)
+    record_config(folder, config_content(CountConfig(steps=7)))
+    assert main([str(tmp_path), folder.id]) is WorkerExit.DONE
+    assert (folder.path / "counted").read_text() == "7"
+    assert read_status(folder).state is State.DONE
+    assert provenance.read_provenance(folder)["fingerprint"]["gymnasium"]

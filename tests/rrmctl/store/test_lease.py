@@ -20,7 +20,8 @@ import pytest
 from rrmctl.store import lease as module
 from rrmctl.store.atomic import StorageError, is_locked, try_lock
 from rrmctl.store.layout import Layout, RunFolder
-from rrmctl.store.lease import Beat, Lease, LeaseLostError, Watch, read_beat
+from rrmctl.store.lease import Lease, LeaseLostError
+from rrmctl.store.owner import Beat, Watch, read_beat
 from rrmctl.waking import WakingTime
 
 
@@ -100,6 +101,26 @@ def test_the_owner_gives_signs_of_life(folder: RunFolder, monkeypatch: pytest.Mo
     taken.release()
 
 
+def test_the_owner_gives_signs_of_life_in_a_long_write(folder: RunFolder, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Who does not see the guard sees that it is at work; one that was taken over meanwhile does not take it back."""
+    monkeypatch.setattr(module, "BEAT_S", 0.02)
+    taken = Lease.take(folder)
+    assert taken is not None
+    with taken.writing():
+        before = beat_of(folder)
+        for _ in range(500):
+            if beat_of(folder) != before:
+                break
+            time.sleep(0.02)
+        assert beat_of(folder).count > before.count
+        with taken._ending:
+            folder.lease.write_text('{"owner": "another", "count": 1}')
+        time.sleep(0.1)
+        assert beat_of(folder) == Beat("another", 1)
+    taken.release()
+    assert beat_of(folder) == Beat("another", 1)
+
+
 def test_a_watch_waits_for_the_length_of_a_lease_by_its_own_clock(folder: RunFolder) -> None:
     """What it sees first starts the clock, however old it is; another beat starts it again."""
     folder.lease.write_text('{"owner": "a", "count": 1}')
@@ -144,14 +165,15 @@ def test_a_full_disk_does_not_end_the_signs_of_life(folder: RunFolder) -> None:
         from pathlib import Path
         from rrmctl.store import lease as module
         from rrmctl.store.layout import Layout
+        from rrmctl.store.owner import read_beat
         from tests.rrmctl.store.test_lease import no_space
         module.BEAT_S = 0.02
         folder = Layout(Path(sys.argv[1])).run("0" * 16)
         lease = module.Lease.take(folder)
         with no_space():
             time.sleep(0.5)
-            before = module.read_beat(folder)
-        while module.read_beat(folder) == before:
+            before = read_beat(folder)
+        while read_beat(folder) == before:
             time.sleep(0.02)
         print("goes on")
     """)

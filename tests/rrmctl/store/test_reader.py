@@ -59,7 +59,7 @@ def with_rows(layout: Layout, run: str, *steps: int) -> None:
     config = json.loads(layout.run(run).config.read_text())
     curve = CurveWriter(layout.run(run), config | {"run": run})
     for step in steps:
-        curve.add(dataclasses.asdict(row(step, config["seed"])))
+        curve.add(row(step, config["seed"]).columns())
 
 
 def test_a_sweep_asked_for_twice_is_the_union(tmp_path: Path) -> None:
@@ -349,8 +349,9 @@ def test_a_damaged_curve_stops_load_with_its_name(tmp_path: Path) -> None:
 def test_an_experiment_that_never_ran_is_answered_with_those_that_did(tmp_path: Path) -> None:
     """So are a folder that does not exist, and ids that fit no run or several."""
     layout, jobs = prepare(tmp_path, range(30))
-    with pytest.raises(UserError, match=r'it holds: stand-in; did you mean "stand-in"\?'):
+    with pytest.raises(UserError, match=r'holds no runs of "stand-inn"; did you mean "stand-in"\?') as error:
         find_sweeps(layout, "stand-inn")
+    assert error.value.hint == "it holds: stand-in"
     with pytest.raises(UserError, match="there is no results folder"):
         planned(tmp_path / "nowhere")
     assert jobs[0].id == find_run(layout, jobs[0].id[:10]).id

@@ -3,11 +3,13 @@
 import html
 import re
 import shutil
+from importlib import resources
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
+from markupsafe import escape
 from matplotlib.figure import Figure
 from typer.testing import CliRunner
 
@@ -17,12 +19,11 @@ from rrmctl.reports import accounts
 from rrmctl.reports.document import Grid, Report
 from rrmctl.reports.figures import figures
 from rrmctl.reports.kinds import kinds
-from rrmctl.reports.page.document import build
-from rrmctl.reports.page.gather import SEVERAL, gather
-from rrmctl.reports.page.html import Html, element, identifier
+from rrmctl.reports.page.chapter import MOST_BYTES, picture
+from rrmctl.reports.page.document import build, render
 from rrmctl.reports.page.listings import clock
-from rrmctl.reports.page.pictures import MOST_BYTES, picture
-from rrmctl.reports.page.tables import MOST_ROWS, Column, of_rows
+from rrmctl.reports.page.parts import Column, Part, Picture, Table, identifier
+from rrmctl.reports.page.tables import SEVERAL, gather
 from rrmctl.reports.select import read_sections
 from rrmctl.reports.settings import Settings
 from rrmctl.store.atomic import write_json
@@ -74,7 +75,7 @@ def test_everything_of_the_reference_results_is_there():
                 table = identifier(report.facts.get("table", kind))
                 assert f'id="{name}-{table}"' in text or f'id="common-{table}"' in text
             own = [report for report in made if report.facts["experiment"] == section.experiment]
-            assert all(element("li", note) in text for report in own for note in report.notes)
+            assert all(f"<li>{escape(note)}</li>" in text for report in own for note in report.notes)
 
 
 def test_every_link_leads_somewhere(results):
@@ -105,7 +106,7 @@ def test_runs_that_are_not_done_are_told(results):
     text = build(results, settings=QUICK)
     assert "15 planned runs: 13 done, 1 failed, 1 queued." in text
     assert "Not contained, failed: button-press, pebble (oracle, 50@5000/5000): seed 1." in text
-    assert element("pre", f"ValueError: {NASTY}") in text
+    assert f"<pre>ValueError: {escape(NASTY)}</pre>" in text
     assert "<script>window" not in text
 
 
@@ -187,6 +188,7 @@ def test_settings_are_common_or_differ(results):
     assert "agent.batch" not in common
     differing = accounts.differing_settings(runs).set_index("method")
     assert dict(differing["agent.batch"]) == {"oracle": "64", "pebble": "128", "rrm-proxy": "128"}
+    assert accounts.differing_settings(runs[:1]).empty
 
 
 def test_machines_and_versions_are_told_apart():
@@ -195,31 +197,69 @@ def test_machines_and_versions_are_told_apart():
     facts = accounts.makings(runs).set_index("fact")
     assert sum(map(int, facts.loc["runs"])) == len({run.id for run in runs})
     assert set(facts.loc["precision"]) == {"float32", "bfloat16"}
+    assert accounts.makings([]).empty
 
 
 def test_a_figure_is_never_large():
     """A cloud of points becomes a small PNG; a drawing stays one of lines."""
     figure = Figure(figsize=(4, 3))
     figure.subplots().plot([0, 1], [0, 1])
-    assert "data:image/svg+xml" in picture(figure, "a", "caption", "words")
+    assert "data:image/svg+xml" in picture(figure, "a", "caption", "words").source
     figure = Figure(figsize=(4, 3))
     figure.subplots().scatter(*np.random.default_rng(0).normal(size=(2, 20_000)), s=1)
-    made = picture(figure, "a", "caption", "words")
+    made = picture(figure, "a", "caption", "words").source
     assert "data:image/png" in made
     assert len(made) < 1.4 * MOST_BYTES
 
 
 def test_a_long_table_is_cut_and_says_so():
     """Beyond a number of rows the caption tells how many there are."""
-    made = of_rows([Column("A", number=True)], ([at] for at in range(MOST_ROWS + 7)), "Numbers")
-    assert made.count("<tr>") == MOST_ROWS + 1
-    assert f"the first {MOST_ROWS:,} of {MOST_ROWS + 7:,} rows" in made
+    table = Table("Numbers", [Column("A", "a", number=True)], [{"a": at} for at in range(Table.MOST + 7)])
+    made = render(Part(tables=[table]), "")
+    assert made.count("<tr>") == Table.MOST + 1
+    assert f"the first {Table.MOST:,} of {Table.MOST + 7:,} rows" in made
 
 
-def test_text_is_escaped_and_html_is_not():
-    """Whatever is not HTML is shown as it is written, in content and in attributes."""
-    assert element("p", "<&", Html("<b>"), title='"') == '<p title="&quot;">&lt;&amp;<b></p>'
-    assert element("img", alt="a", hidden=True, src=None) == '<img alt="a" hidden>'
+def test_a_cell_is_what_it_says():
+    """Numbers stand with their exact value, what is missing without one; long words may break; the first cell heads."""
+    shown = [Column("A", "a"), Column("B", "b", number=True, show="{:.1f}".format)]
+    rows = [{"a": "short", "b": 0.25}, {"a": "long " * 9, "b": None, "link": "there"}, {"a": None, "b": float("nan")}]
+    made = render(Part(tables=[Table("Cells", shown, rows, total={"a": "all", "b": np.float64(2)})]), "")
+    cells = re.findall("<t[hd][^>]*>.*?</t[hd]>", made)[2:]
+    number, missing = '<td class="number" data-value="{}">{}</td>'.format, '<td class="number">–</td>'
+    assert cells[:2] == ['<th scope="row">short</th>', number(0.25, "0.2")]
+    assert cells[2:4] == [f'<th scope="row" class="long"><a href="#there">{"long " * 9}</a></th>', missing]
+    assert cells[4:] == ['<th scope="row">–</th>', missing, '<th scope="row">all</th>', number(2.0, "2.0")]
+
+
+def test_whatever_the_page_shows_is_text():
+    """What looks like code is shown as it is written, wherever it stands, in content and in attributes."""
+    table = Table(NASTY, [Column(NASTY, 0)], [[NASTY], {0: NASTY, "link": NASTY}], [NASTY], frozenset({(0, 0)}))
+    inner = {"title": NASTY, "tables": [table], "notes": [NASTY], "rules": [NASTY], "commands": NASTY}
+    figure = Picture(NASTY, NASTY, NASTY, 1, NASTY)
+    texts = {"paragraphs": [NASTY], "warnings": [NASTY], "failures": [(NASTY, NASTY)], "figures": [NASTY, figure]}
+    parts = [Part(**inner, id=id_, folded=folded) for id_ in ("", NASTY) for folded in (False, True)]
+    made = render(Part(title=NASTY, parts=[*parts, Part(id=NASTY, **texts)], **texts), NASTY)
+    everything = len(re.findall("window.hit = 1", made))
+    assert everything > 70
+    assert made.count(str(escape(NASTY))) == everything
+    assert "safe" not in (resources.files("rrmctl.reports.page") / "page.html").read_text().replace("unsafe-inline", "")
+
+
+def test_what_shows_nothing_is_left_out():
+    """Neither on the page nor in its contents; the contents name what has a title and can be led to."""
+    empty = Part(id="empty", title="Empty", parts=[Part(id="inner", title="Inner", tables=[Table("None", [], [])])])
+    full = Part(
+        id="full", title="Full", parts=[empty, Part(title="Within", notes=["told"]), Part(id="own", notes=["x"])]
+    )
+    made = render(Part(title="All", parts=[empty, full]), "")
+    assert re.findall('href="#([^"]*)"', made) == ["overview", "full"]
+    assert "Empty" not in made
+    assert "<h3>Within</h3>" in made
+
+
+def test_an_identifier_can_stand_in_a_link():
+    """Letters, digits and dashes; other signs as their code."""
     assert identifier("a b", "c<d") == "a-b-c-3c-d"
 
 
@@ -278,7 +318,7 @@ def test_tables_stand_where_they_belong(tmp_path, monkeypatch):
         "choosy": Kind(refuse),
         "none": Kind(nothing),
     }
-    monkeypatch.setattr("rrmctl.reports.page.gather.kinds", lambda: known)
+    monkeypatch.setattr("rrmctl.reports.page.tables.kinds", lambda: known)
     found = gather(read_sections(tmp_path), QUICK)
     kinds_at = {place: [kind for kind, _ in made] for place, made in found.made.items()}
     first, second = ("main-results", "laptop"), ("toy-car", "t")

@@ -1,0 +1,49 @@
+"""Which stored transitions an update sees."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import torch
+
+from rrm.types import Batch
+
+if TYPE_CHECKING:
+    from rrm.buffers.experience import Experience
+
+
+class Replay:
+    """Uniform draws from the experience, with replacement."""
+
+    def __init__(self, experience: Experience, batch: int, generator: torch.Generator) -> None:
+        """Args: batch: transitions of an agent's update; generator: the stream that draws them."""
+        self._experience = experience
+        self._size = batch
+        self._generator = generator
+
+    @property
+    def transitions(self) -> int:
+        """So many are stored."""
+        return self._experience.transitions
+
+    def sample(self, *, time_limits_end: bool = False) -> Batch:
+        """The transitions of an agent's update.
+
+        Args: time_limits_end: take a time limit for a termination in `continues`.
+        """
+        return self.draw(self._size, self._generator, time_limits_end=time_limits_end)
+
+    def draw(
+        self, count: int, generator: torch.Generator, *, newest: int | None = None, time_limits_end: bool = False
+    ) -> Batch:
+        """`count` transitions.
+
+        Args: newest: of the last so many alone.
+        """
+        first = 0 if newest is None else max(0, self.transitions - newest)
+        numbers = torch.randint(first, self.transitions, (count,), generator=generator)
+        return self._experience.batch(numbers, time_limits_end=time_limits_end)
+
+    def newest(self, count: int) -> Batch:
+        """The last `count` transitions, or all where there are fewer, in order."""
+        return self._experience.batch(torch.arange(max(0, self.transitions - count), self.transitions))

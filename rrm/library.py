@@ -1,0 +1,209 @@
+"""What a notebook needs: train one run, take up a finished one, and use its policy and its reward elsewhere."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+from collections.abc import Callable, Mapping, Sequence
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+import torch
+
+from rrm.checkpoint import read_networks
+from rrm.config import EvaluationConfig
+from rrm.envs import make
+from rrm.errors import ConfigError
+from rrm.files import make_folder, place, read_bounded, write_atomically
+from rrm.interfaces import Agent, Env, RewardFunction
+from rrm.seeding import Streams
+from rrm.training.build import build_agent, build_prior, build_reward
+from rrm.training.collect import PriorSource
+from rrm.training.config import RunConfig
+from rrm.training.evaluate import evaluate
+from rrm.training.jobs import train as train_job
+from rrm.types import EvalRow, Evaluation, Floats, State
+
+_LARGEST_CONFIG = 1_000_000  # bytes
+
+
+def train(
+    config: RunConfig,
+    folder: str | Path,
+    *,
+    results: Mapping[str, str | Path] | None = None,
+    on_row: Callable[[EvalRow], None] = lambda _row: None,
+) -> list[EvalRow]:
+    """Train a run to its end, or go on with one that was interrupted: it ends with the same numbers.
+
+    Args:
+        config: of the run.
+        folder: where checkpoints and, in the end, networks are kept; made where it is missing, of this run alone.
+        results: folders of the runs that this one starts from, by identity (`config.requires`).
+        on_row: told of every evaluation as it comes. Ctrl-C loses what was trained since the last checkpoint.
+
+    Returns:
+        The evaluations, oldest first.
+
+    Raises:
+        ConfigError: the folder is another run's.
+        RrmError: the run cannot be trained as it is described.
+        WaitingError: it waits for its teacher; called again, it goes on.
+    """
+    run, where = config.canonical(), place(folder)
+    make_folder(where)
+    kept = where / "config.json"
+    if kept.exists() and _read(kept).identity != run.identity:
+        raise ConfigError(f"{where} holds another run, {_read(kept).identity}: name another folder")
+    write_atomically(kept, run.model_dump_json(indent=1).encode())
+    if (where / "model.safetensors").exists():
+        return [_row(row) for row in json.loads((where / "rows.json").read_bytes())]
+    monitor = _Listener(on_row)
+    train_job(run, where, monitor, {name: place(path) for name, path in (results or {}).items()})
+    rows = [monitor.rows[step] for step in sorted(monitor.rows)]
+    write_atomically(where / "rows.json", json.dumps([row.columns() for row in rows]).encode())
+    return rows
+
+
+def load(folder: str | Path) -> Finished:
+    """A finished run: one of `train`, or a folder `runs/ID` of `rrmctl`.
+
+    Raises:
+        ConfigError: the folder holds no run.
+        MissingResultError: the run is not finished, or its networks are damaged.
+    """
+    where = place(folder)
+    return Finished(_read(where / "config.json"), where)
+
+
+class Finished:
+    """What a finished run has learned.
+
+    Args:
+        config: of the run.
+        folder: that holds its networks; runs that it started from lie beside it.
+    """
+
+    def __init__(self, config: RunConfig, folder: Path) -> None:
+        self.config = config
+        self._folder = folder
+        self._networks: State = read_networks(folder / "model.safetensors", "the run's networks")
+
+    @cached_property
+    def agent(self) -> Agent:
+        """The agent as it was at the end."""
+        agent = build_agent(self.config, Streams(self.config.seed))
+        agent.load_state_dict(self._networks["agent"])
+        return agent
+
+    def policy(self, obs: Floats) -> Floats:
+        """The deterministic action, float32 [A] in [-1, 1], for an observation float32 [O]."""
+        return self.agent.act(np.asarray(obs, np.float32), explore=False)
+
+    def evaluate(self, episodes: int = 10, seed: int = 0) -> Evaluation:
+        """Play episodes of the run's task, whose instances follow from the seed."""
+        env = make(self.config.task, horizon=self.config.horizon)
+        try:
+            return evaluate(self.agent, env, EvaluationConfig(episodes=episodes), seed=seed, step=0)
+        finally:
+            env.close()
+
+    @cached_property
+    def reward(self) -> RewardFunction:
+        """The learned reward.
+
+        Raises:
+            ConfigError: the run learned none.
+        """
+        if not self.config.reward.kind.learned:
+            raise ConfigError(f"{self._folder} holds no learned reward: the method is {self.config.method}")
+        reward = build_reward(self.config, Streams(self.config.seed))
+        reward.load_state_dict(self._networks["reward"])
+        return reward
+
+    @cached_property
+    def prior(self) -> PriorSource | None:
+        """The prior under the learned reward, at the scale it had at the end; None where there is none."""
+        results = {run: self._folder.parent / run for run in self.config.requires}
+        prior = build_prior(self.config, Streams(self.config.seed), results)
+        if prior is not None:
+            prior.load_state_dict(self._networks["prior"])
+        return prior
+
+
+class LearnedReward(gymnasium.Wrapper[Floats, Floats, Floats, Floats]):
+    """An environment that pays what a run has learned, for anybody's training loop.
+
+    `info["true_reward"]` is the environment's own.
+
+    Args:
+        env: of the run's task.
+        run: one that learned a reward.
+    """
+
+    def __init__(self, env: Env, run: Finished) -> None:
+        super().__init__(env)  # type: ignore[arg-type]  # our environments are gymnasium's
+        self._reward, self._prior = run.reward, run.prior
+        self._obs: Floats = np.zeros(0, np.float32)
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Floats, dict[str, Any]]:
+        """Start an episode."""
+        self._obs, info = self.env.reset(seed=seed, options=options)
+        if self._prior is not None:
+            self._prior.begin_episode(self._obs)
+        return self._obs, info
+
+    def step(self, action: Floats) -> tuple[Floats, float, bool, bool, dict[str, Any]]:
+        """One step, with the learned reward of the state before it."""
+        act = np.asarray(action, np.float32)
+        obs, true_reward, terminated, truncated, info = self.env.step(act)
+        prior = 0.0 if self._prior is None else self._prior.look(self._obs, act, info)
+        one = torch.from_numpy(self._obs)[None], torch.from_numpy(act)[None], torch.tensor([prior])
+        reward = float(self._reward.predict(*one))
+        self._obs = obs
+        return obs, reward, terminated, truncated, info | {"true_reward": float(true_reward)}
+
+
+class _Listener:
+    """A monitor that keeps the evaluations, and lets everything else pass."""
+
+    def __init__(self, on_row: Callable[[EvalRow], None]) -> None:
+        self._on_row = on_row
+        self.rows: dict[int, EvalRow] = {}
+
+    def restored(self, rows: Sequence[EvalRow]) -> None:
+        self.rows |= {row.step: row for row in rows}
+
+    def row(self, row: EvalRow) -> None:
+        self.rows[row.step] = row
+        self._on_row(row)
+
+    def beat(self, step: int, steps_per_s: float) -> None:
+        """Nobody watches."""
+
+    def note(self, message: str) -> None:
+        """Nobody reads."""
+
+    log = note
+
+    def should_stop(self) -> bool:
+        return False
+
+    def writing(self) -> contextlib.AbstractContextManager[None]:
+        return contextlib.nullcontext()
+
+
+def _read(path: Path) -> RunConfig:
+    try:
+        told = json.loads(read_bounded(path, _LARGEST_CONFIG))
+        return RunConfig.model_validate({name: told[name] for name in RunConfig.model_fields if name in told})
+    except (OSError, ValueError, AttributeError, TypeError) as error:
+        raise ConfigError(f"{path} is not the configuration of a run: {error}") from error
+
+
+def _row(columns: Mapping[str, Any]) -> EvalRow:
+    own = {name: columns[name] for name in EvalRow.__dataclass_fields__ if name != "figures"}
+    return EvalRow(**own, figures={name: value for name, value in columns.items() if name not in own})

@@ -1,0 +1,57 @@
+"""What runs are called in their experiment, for people and in every table."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import NamedTuple
+
+#: What stands for teacher and feedback where nothing is asked; such runs belong to every panel of their task.
+NOTHING_ASKED = "-"
+ORACLE = "oracle"
+
+
+def knows(method: str) -> bool:
+    """Whether a method learns from the true reward: the oracle, or a variant of it such as oracle-bfloat16."""
+    return method.partition("-")[0] == ORACLE
+
+
+class Label(NamedTuple):
+    """What the runs of a row of the grid are called, whatever their seed."""
+
+    task: str
+    method: str
+    teacher: str = NOTHING_ASKED
+    feedback: str = NOTHING_ASKED
+
+    @property
+    def asked(self) -> tuple[str, ...]:
+        """Teacher and feedback where they say something."""
+        return tuple(word for word in (self.teacher, self.feedback) if word not in ("", NOTHING_ASKED))
+
+    @property
+    def words(self) -> tuple[str, ...]:
+        """Task, method, and teacher and feedback where they say something."""
+        return (self.task, self.method, *self.asked)
+
+    @property
+    def place(self) -> str:
+        """`task (teacher, feedback)`: where methods are compared."""
+        return f"{self.task} ({', '.join(self.asked)})" if self.asked else self.task
+
+    def __str__(self) -> str:
+        return f"{self.task}, {self.method}" + (f" ({', '.join(self.asked)})" if self.asked else "")
+
+    def seeded(self, seed: int) -> str:
+        """What one run is called: `task method teacher feedback seed 3`."""
+        return " ".join([*self.words, f"seed {seed}"])
+
+
+def panels(labels: Iterable[Label]) -> dict[tuple[str, str, str], list[Label]]:
+    """What is compared with one another, by task, teacher and feedback; what asks nothing is in all of its task."""
+    distinct, found = list(dict.fromkeys(labels)), {}
+    for task in dict.fromkeys(label.task for label in distinct):
+        here = [label for label in distinct if label.task == task]
+        silent = (NOTHING_ASKED, NOTHING_ASKED)
+        for where in dict.fromkeys(label[2:] for label in here if label.teacher != NOTHING_ASKED) or {silent: None}:
+            found[task, *where] = [label for label in here if label[2:] in (where, silent)]
+    return found

@@ -1,0 +1,118 @@
+"""The executor of this machine: one child process a run, each in its own process group, none able to take another down.
+
+It waits for pipes and exit codes only, and ends what is silent for too long or takes too much memory.
+"""
+
+from __future__ import annotations
+
+import selectors
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+from rrmctl.running.child import WORKER, Child
+from rrmctl.running.executor import Ended, Evaluated, Event, Note, Progress, Started, WorkOrder
+from rrmctl.store.records import ErrorKind, RunError
+from rrmctl.waking import WakingTime
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from rrmctl.store.layout import Layout
+
+#: Time between two looks at the memory of workers, seconds.
+_POLL_S = 1.0
+
+
+@dataclass(kw_only=True)
+class LocalExecutor:
+    """An `rrmctl.running.executor.Executor`."""
+
+    layout: Layout
+    hang_after_s: float = 1800.0  #: silence after which a worker counts as hung; a feedback session may take minutes
+    memory_limit: int | None = None  #: bytes that a worker may take; None: as much as there is
+    command: Sequence[str] = WORKER
+    _children: dict[str, Child] = field(default_factory=dict, init=False)
+    _waking: WakingTime = field(default_factory=WakingTime, init=False)
+    _selector: selectors.BaseSelector = field(default_factory=selectors.DefaultSelector, init=False)
+    _stopping: bool = field(default=False, init=False)
+    _weighed: float = field(default=0.0, init=False)  #: when the memory of workers was last looked at
+
+    def submit(self, order: WorkOrder) -> None:
+        child = Child(
+            self.layout, order.run, threads=order.threads, options=order.options, command=self.command,
+            clock=self._waking,
+        )  # fmt: skip
+        self._children[order.run] = child
+        self._selector.register(child, selectors.EVENT_READ)
+
+    def events(self, wait_s: float) -> Iterator[Event]:
+        if not self._children:  # a selector of nothing may not wait
+            time.sleep(wait_s)
+        for key, _ in self._selector.select(wait_s) if self._children else ():
+            yield from self._hear(key.fileobj)  # type: ignore[arg-type]  # only children are registered
+        self._end_misbehaving()
+        for child in [child for child in self._children.values() if child.ended()]:
+            yield from self._hear(child)
+            self._forget(child)
+            yield Ended(child.job, child.outcome(stopping=self._stopping))
+
+    @property
+    def running(self) -> int:
+        return len(self._children)
+
+    def stop(self, *, now: bool = False) -> None:
+        self._stopping = True
+        for child in self._children.values():
+            child.kill() if now else child.ask_to_stop()
+
+    def close(self) -> None:
+        for child in self._children.values():
+            child.kill()
+        for child in list(self._children.values()):
+            child.wait()
+        self._children.clear()
+        self._selector.close()
+
+    def _hear(self, child: Child) -> Iterator[Event]:
+        messages = child.messages()
+        if not child.open and child in self._selector.get_map():
+            self._selector.unregister(child)
+        for message in messages:
+            yield from _event(child, message)
+
+    def _end_misbehaving(self) -> None:
+        """End workers that are silent for too long, and those that take too much memory."""
+        lived, now = self._waking(), time.monotonic()
+        for child in self._children.values():
+            if lived - child.heard > self.hang_after_s:
+                child.end(ErrorKind.HUNG, "gave no sign of life")
+        if self.memory_limit is None or now - self._weighed < _POLL_S:
+            return
+        self._weighed = now
+        for child in self._children.values():
+            memory = child.memory()
+            if memory is not None and memory > self.memory_limit:
+                taken, limit = (f"{each / 2**30:.2f} GiB" for each in (memory, self.memory_limit))
+                child.end(ErrorKind.MEMORY, f"took {taken} of memory, {limit} are allowed,")
+
+    def _forget(self, child: Child) -> None:
+        if child.open:
+            self._selector.unregister(child)
+            child.close()
+        del self._children[child.job]
+
+
+def _event(child: Child, message: Mapping[str, Any]) -> Iterator[Event]:
+    match message["event"]:
+        case "start":
+            yield Started(child.job, message["attempt"], message["rows"])
+        case "beat":
+            yield Progress(child.job, message["step"], message["steps_per_s"])
+        case "row":
+            yield Evaluated(child.job, message["step"], message["success"], message["true_return"])
+        case "note":
+            yield Note(child.job, message["text"])
+        case "error":
+            child.error = RunError.from_json(message)

@@ -1,0 +1,158 @@
+"""Parts of one's own, each in a few lines and without touching the library: an agent, a reward, a simulator."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from rrm.agents import AGENTS
+from rrm.config import AgentConfig, EvaluationConfig, ExplorationConfig, RewardConfig
+from rrm.envs import TASKS, Task
+from rrm.envs.base import TaskEnv
+from rrm.sources.base import RewardSource
+from rrm.training.build import assemble
+from rrm.training.config import RunConfig
+from rrm.training.fingerprint import fingerprint
+from rrm.training.jobs import train
+from rrm.training.phases import Phase
+from tests.rrm.training.conftest import Recorder
+
+
+def config(task="toy-car", **fields):
+    given = {
+        "task": task, "seed": 0, "steps": 300, "agent": AgentConfig(hidden=16, layers=1, batch=16),
+        "reward": RewardConfig(learner="true"), "exploration": ExplorationConfig(seed_steps=50),
+        "evaluation": EvaluationConfig(every=100, episodes=1),
+    }  # fmt: skip
+    return RunConfig(**given | fields).canonical()
+
+
+def trained(given, folder, stops=(None,), **options):
+    """The curve of a run that is stopped after so many steps each time."""
+    seen = {}
+    for patience in stops:
+        recorder = Recorder(patience)
+        recorder.rows = seen
+        finished = train(given, folder, recorder, **options)
+    assert finished
+    return Recorder.numbers(recorder)
+
+
+class Uniform:
+    """An agent that learns nothing: its actions are uniformly random, when it explores and when it does not."""
+
+    def __init__(self, config, obs_dim, act_dim, streams, *, precision):
+        self.updates, self._act_dim = 0, act_dim
+        self._explore, self._evaluate = streams.numpy("uniform"), np.random.default_rng(0)
+
+    def act(self, obs, *, explore):
+        return (self._explore if explore else self._evaluate).uniform(-1, 1, self._act_dim).astype(np.float32)
+
+    def update(self, batch):
+        self.updates += 1
+
+    def reset_critic(self):
+        pass
+
+    def figures(self):
+        return {"updates": float(self.updates)}
+
+    def weights(self):
+        return {}
+
+    def state_dict(self):
+        return {"updates": self.updates, "evaluate": self._evaluate.bit_generator.state}
+
+    def load_state_dict(self, state):
+        self.updates, self._evaluate.bit_generator.state = state["updates"], state["evaluate"]
+
+
+def test_an_agent_of_ones_own(tmp_path, monkeypatch):
+    """One entry of the table; it is driven, evaluated, saved and resumed like ours, also where a reward is learned."""
+    monkeypatch.setitem(AGENTS, "sac", f"{__name__}:Uniform")
+    given = config(reward=RewardConfig(hidden=16, layers=1), exploration=ExplorationConfig(seed_steps=50))
+    straight = trained(given, tmp_path / "a")
+    assert straight == trained(given, tmp_path / "b", (70, 160, None))
+    assert "'updates': " in straight[-1]
+
+
+class Praise(RewardSource):
+    """A reward that praises small actions, and remembers the smallest."""
+
+    name = "praise"
+
+    def __init__(self, replay):
+        self._replay, self.smallest = replay, np.inf
+
+    def reward(self, step):
+        effort = float(np.square(step.act).sum())
+        self.smallest = min(self.smallest, effort)
+        return -effort
+
+    def batch(self, agent):
+        return self._replay.sample()
+
+    def figures(self, rng):
+        return {"smallest_effort": self.smallest}
+
+    def state_dict(self):
+        return {"smallest": self.smallest}
+
+    def load_state_dict(self, state):
+        self.smallest = state["smallest"]
+
+
+def praised(given, streams, results):
+    parts = assemble(given, streams, results)
+    source = Praise(parts.replay)
+    return replace(parts, phases=(Phase(name="all", begin=0, source=source),))
+
+
+def test_a_source_of_rewards_of_ones_own(tmp_path):
+    """It decides what is stored and learned from, tells its figure in every row, and comes back with the checkpoint."""
+    straight = trained(config(), tmp_path / "a", assembled=praised)
+    assert straight == trained(config(), tmp_path / "b", (70, 160, None), assembled=praised)
+    assert "'smallest_effort': " in straight[-1]
+    assert straight != trained(config(), tmp_path / "c")
+
+
+class Slope(TaskEnv):
+    """A ball on a slope that is to be kept near the middle."""
+
+    def __init__(self, horizon, steepness, render_mode=None):
+        super().__init__(-10, 10, obs_dim=2, act_dim=1, horizon=horizon, render_mode=render_mode)
+        self.steepness, self.state = float(steepness), np.zeros(2)
+
+    def _begin(self):
+        self.state = np.array([self.np_random.uniform(-1, 1), 0.0])
+        return self.state
+
+    def _advance(self, action):
+        x, speed = self.state
+        self.state = np.clip([x + 0.1 * speed, speed + action[0] + self.steepness * x], -10, 10)
+        return self.state, -abs(self.state[0]), {"success": float(abs(self.state[0]) < 0.5)}
+
+    def _save(self):
+        return {"state": self.state.copy()}
+
+    def _restore(self, state):
+        self.state = state["state"].copy()
+
+
+SLOPE = Task(
+    name="slope", suite="mine", score="success", horizon=40, obs_dim=2, act_dim=1, entry_point=f"{__name__}:Slope",
+    kwargs={"steepness": "0.1"},
+    features={"position": slice(0, 1), "energy": lambda obs: np.square(obs).sum(keepdims=True)},
+)  # fmt: skip
+
+
+def test_a_simulator_of_ones_own(tmp_path, monkeypatch):
+    """A task with features that no other has; a prior asks for them by name, and what is not there is refused."""
+    monkeypatch.setitem(TASKS, "slope", SLOPE)
+    prior = tmp_path / "mine.py"
+    prior.write_text("def calm(step):\n    return -step.feature('energy')[0] + step.feature('position')[0]\n")
+    given = config("slope", reward=RewardConfig(learner="prior", prior=f"{prior}:calm"))
+    assert trained(given, tmp_path / "a") == trained(given, tmp_path / "b", (70, 160, None))
+    assert fingerprint(given)["gymnasium"]
+    with pytest.raises(ValueError, match="reads hand, object, goal or upright, which slope does not reveal"):
+        config("slope", reward=RewardConfig(learner="prior", prior="proxy"))
