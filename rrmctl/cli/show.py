@@ -126,5 +126,6 @@ def _row(row: Mapping[str, Any]) -> str:
 
     success = row["success"] if row["success"] == row["success"] else None  # NaN: the task has no success
     told = f"step {row['step']:>9,}  {score(success, row['true_return'])}  return {row['true_return']:,.1f}"
-    figures = (f"{name} {row[name]:.3g}" for name in row if name not in IDENTITY | MEASURED)
+    told_too = (name for name in row if name not in IDENTITY | MEASURED and row[name] == row[name])  # NaN: nothing yet
+    figures = (f"{name} {row[name]:.3g}" for name in told_too)
     return "  ".join((told, *figures))
