@@ -19,7 +19,7 @@ if TYPE_CHECKING:
         TeacherConfig,
     )
     from rrm.envs import TASKS, make
-    from rrm.library import Finished, LearnedReward, load, train
+    from rrm.runs import Finished, LearnedReward, load, train
     from rrm.training.config import RunConfig
 
 __version__ = "0.1.0"
@@ -32,7 +32,7 @@ _HOMES = {
             "AgentConfig", "EvaluationConfig", "ExplorationConfig", "FeedbackConfig", "RewardConfig", "TeacherConfig"
         ), "rrm.config"
     ),
-    **dict.fromkeys(("Finished", "LearnedReward", "load", "train"), "rrm.library"),
+    **dict.fromkeys(("Finished", "LearnedReward", "load", "train"), "rrm.runs"),
 }  # fmt: skip
 
 __all__ = [

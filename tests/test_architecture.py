@@ -45,7 +45,7 @@ FACTS = {
 #: function, or for types alone.
 FLOORS = {
     "rrm": {
-        "library": 7,
+        "runs": 7,
         "training": 6,
         "priors": 5, "sources": 5,
         "imitation": 4, "teachers": 4, "queries": 4,

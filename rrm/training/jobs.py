@@ -49,9 +49,6 @@ class Monitor(Protocol):
     def note(self, message: str) -> None:
         """Something a person should be told."""
 
-    def log(self, message: str) -> None:
-        """Something a person may look up in the log."""
-
     def should_stop(self) -> bool:
         """True: write a checkpoint and return."""
 

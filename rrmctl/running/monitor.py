@@ -61,10 +61,6 @@ class RunMonitor:
         """Tell a person, in the log and at the terminal."""
         self._pipe.note(message)
 
-    def log(self, message: str) -> None:
-        """Write a line into the log."""
-        say(f"--- {message}")
-
     def should_stop(self) -> bool:
         """True when the run should be checkpointed and left."""
         return self._stop.requested

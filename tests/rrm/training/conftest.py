@@ -35,7 +35,7 @@ class Recorder:
     """A monitor that keeps what it is told and stops the job after `patience` steps."""
 
     def __init__(self, patience=None):
-        self.rows, self.notes, self.logged, self.beats, self.patience = {}, [], [], [], patience
+        self.rows, self.notes, self.beats, self.patience = {}, [], [], patience
 
     def restored(self, rows):
         for row in rows:
@@ -46,9 +46,6 @@ class Recorder:
 
     def note(self, message):
         self.notes.append(message)
-
-    def log(self, message):
-        self.logged.append(message)
 
     def beat(self, step, steps_per_s):
         self.beats.append(step)

@@ -187,8 +187,6 @@ class _Listener:
     def note(self, message: str) -> None:
         """Nobody reads."""
 
-    log = note
-
     def should_stop(self) -> bool:
         return False
 
