@@ -24,12 +24,12 @@ from benchmarks.lines import Line
 from rrmctl.cli.request import job_record
 from rrmctl.planning.manifest import load
 from rrmctl.planning.plan import Job, Plan, make_plan
-from rrmctl.running.runfile import config_content
-from rrmctl.store.atomic import try_lock, write_table
+from rrmctl.running.config_file import config_content
 from rrmctl.store.curve import SETTINGS, table_of
+from rrmctl.store.files import try_lock, write_table
 from rrmctl.store.layout import Layout, RunFolder
-from rrmctl.store.records import State, Status, record_config, write_status
 from rrmctl.store.schema import IDENTITY, MEASURED
+from rrmctl.store.status import RunState, Status, record_config, write_status
 from rrmctl.store.sweeps import SweepRecord, record_sweep
 
 EXPERIMENTS = Path(__file__).parents[1] / "experiments"
@@ -41,7 +41,7 @@ EVALUATIONS = 100
 REPLICATES = 2_000
 
 #: A sweep under way: how many of every hundred runs stand where.
-SHARES = {State.DONE: 80, State.FAILED: 1, State.INTERRUPTED: 5, State.RUNNING: 2, State.QUEUED: 12}
+SHARES = {RunState.DONE: 80, RunState.FAILED: 1, RunState.INTERRUPTED: 5, RunState.RUNNING: 2, RunState.QUEUED: 12}
 
 
 def lines() -> list[Line]:
@@ -90,16 +90,16 @@ def write_progress(number: int, job: Job, folder: RunFolder) -> None:
     """Where a run stands in a sweep under way. What says it is running has lost its process: nobody holds its lock."""
     states = [state for state, share in SHARES.items() for _ in range(share)]
     state = states[number % len(states)]
-    if state is State.QUEUED:
+    if state is RunState.QUEUED:
         return
-    step = job.config.steps if state is State.DONE else job.config.steps // 3
+    step = job.config.steps if state is RunState.DONE else job.config.steps // 3
     descriptor = try_lock(folder.lock)
     assert descriptor is not None
     write_status(folder, _status(state, step, job.config.steps))
     os.close(descriptor)
 
 
-def _status(state: State, step: int, steps: int) -> Status:
+def _status(state: RunState, step: int, steps: int) -> Status:
     return Status(
         state=state, attempt=1, step=step, steps=steps, rows=EVALUATIONS * step // steps, success=0.5,
         true_return=1234.5, steps_per_s=123.4, wall_s=step / 123.4, pid=1234, host="node", started=1.7e9,
@@ -119,7 +119,7 @@ def write_curve(number: int, job: Job, folder: RunFolder) -> None:
         rows.append(identity | row | {"success": float(share), "true_return": 1e3 * share, "queries": 0, "labels": 0})
     record_config(folder, config)
     write_table(folder.curve, table_of(rows), **SETTINGS)
-    write_status(folder, _status(State.DONE, steps, steps))
+    write_status(folder, _status(RunState.DONE, steps, steps))
 
 
 def _line(item: str, bound: float, arguments: tuple[str, ...], expected: str) -> Line:

@@ -13,7 +13,7 @@ import torch
 from benchmarks.lines import Line, in_turns
 from benchmarks.sac_update import ACT, OBS, product
 from rrm.buffers.experience import Experience
-from rrm.buffers.preferences import PairRing, Preferences, StoredFeedback
+from rrm.buffers.pairs import PairRing, Preferences, StoredFeedback
 from rrm.config import AgentConfig, RewardConfig
 from rrm.nets.precision import rounds
 from rrm.precision import Precision

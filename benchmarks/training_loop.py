@@ -27,8 +27,8 @@ from rrm.config import RewardConfig
 from rrm.nets.precision import rounds
 from rrm.precision import Precision
 from rrm.sources.preferences import PreferenceReward
-from rrm.training.config import RunConfig
 from rrm.training.loop import Trainer
+from rrm.training.run_config import RunConfig
 from rrm.types import Transition
 
 TASK, STEPS, EVERY, LABELS = "button-press", 500_000, 5_000, 2_500

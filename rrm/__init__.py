@@ -20,13 +20,13 @@ if TYPE_CHECKING:
     )
     from rrm.envs import TASKS, make
     from rrm.runs import Finished, LearnedReward, load, train
-    from rrm.training.config import RunConfig
+    from rrm.training.run_config import RunConfig
 
 __version__ = "0.1.0"
 
 _HOMES = {
     **dict.fromkeys(("TASKS", "make"), "rrm.envs"),
-    "RunConfig": "rrm.training.config",
+    "RunConfig": "rrm.training.run_config",
     **dict.fromkeys(
         (
             "AgentConfig", "EvaluationConfig", "ExplorationConfig", "FeedbackConfig", "RewardConfig", "TeacherConfig"

@@ -1,7 +1,7 @@
 """The sections of a run's configuration: frozen, complete, unknown keys refused.
 
 Defaults are the paper's (appendix tables); where it is silent the field says whose they are. Nothing here imports
-torch or a simulator. `rrm.training.config` puts the sections together.
+torch or a simulator. `rrm.training.run_config` puts the sections together.
 """
 
 from __future__ import annotations
@@ -59,13 +59,13 @@ class Needs:
     time_limits_end: bool = False  #: whether the batch of `refine`, and of the update after it, ends at time limits
 
 
-class Section(BaseModel):
+class ConfigSection(BaseModel):
     """What all sections share."""
 
     model_config = ConfigDict(frozen=True, strict=True, extra="forbid", allow_inf_nan=False)
 
 
-class AgentConfig(Section):
+class AgentConfig(ConfigSection):
     """SAC (appendix, table of SAC hyper-parameters; what that table leaves open follows B-Pref)."""
 
     hidden: Count = 256  #: units of each hidden layer, actor and critic
@@ -82,7 +82,7 @@ class AgentConfig(Section):
     kind: Literal["sac"] = "sac"  #: its name in `rrm.agents.AGENTS`
 
 
-class LearnerSettings(Section):
+class LearnerSettings(ConfigSection):
     """What a learner of ours is told beyond `RewardConfig`, and what planning must know of it without making it.
 
     A learner with settings of its own has a section of this kind in `RewardConfig`, by its name.
@@ -154,7 +154,7 @@ class MrnConfig(LearnerSettings):
             raise ConfigError(f"reward.mrn.every: {self.every} is not a multiple of agent.update_every, {update_every}")
 
 
-class RewardConfig(Section):
+class RewardConfig(ConfigSection):
     """The reward the agent is trained on, and how it is learned (section 3, appendix "Model structure")."""
 
     learner: str = "pebble"  #: a learner's name, `true`, `prior`, or `file.py:Class`
@@ -196,7 +196,7 @@ class RewardConfig(Section):
         return settings
 
 
-class ImitationConfig(Section):
+class ImitationConfig(ConfigSection):
     """AIRL (Fu et al. 2018; appendix "Imitation rewards"), the demonstrations before it and the fine-tuning after."""
 
     steps: Count = 1_000_000  #: environment steps of the run that trains the prior
@@ -218,7 +218,7 @@ class ImitationConfig(Section):
     switch: Count = 400_000  #: step from which `finetune` learns from preferences
 
 
-class FeedbackConfig(Section):
+class FeedbackConfig(ConfigSection):
     """When how many queries are put (section 4.1; sampler, pool and window after B-Pref)."""
 
     every: Count = 5000  #: environment steps between sessions
@@ -242,7 +242,7 @@ class FeedbackConfig(Section):
         return max(0, min(wanted, self.budget - requested))
 
 
-class TeacherConfig(Section):
+class TeacherConfig(ConfigSection):
     """The scripted teacher of B-Pref (appendix "Noisy teacher models")."""
 
     beta: Positive | None = None  #: rationality; None is without doubt
@@ -252,7 +252,7 @@ class TeacherConfig(Section):
     equal: Weight = 0.0  #: pairs closer than this share are called equal
 
 
-class ExplorationConfig(Section):
+class ExplorationConfig(ConfigSection):
     """What happens before the first session, or before the first update where nothing is asked."""
 
     seed_steps: NonNegative = 1000  #: uniformly random actions
@@ -261,7 +261,7 @@ class ExplorationConfig(Section):
     reset_updates: NonNegative = 100  #: updates right after the first session
 
 
-class EvaluationConfig(Section):
+class EvaluationConfig(ConfigSection):
     """The protocol behind every row of the curve."""
 
     every: Count = 10_000  #: environment steps; the final step is always evaluated

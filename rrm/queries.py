@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 import torch
 
-from rrm.buffers.preferences import Rows
+from rrm.buffers.pairs import Rows
 
 if TYPE_CHECKING:
     from rrm.buffers.experience import Episode, Experience

@@ -21,10 +21,10 @@ from rrm.files import make_folder, place, read_bounded, write_atomically
 from rrm.interfaces import Agent, Env, RewardFunction
 from rrm.seeding import Streams
 from rrm.training.build import build_agent, build_prior, build_reward
-from rrm.training.collect import PriorSource
-from rrm.training.config import RunConfig
 from rrm.training.evaluate import evaluate
 from rrm.training.jobs import train as train_job
+from rrm.training.prior_values import PriorSource
+from rrm.training.run_config import RunConfig
 from rrm.types import EvalRow, Evaluation, Floats, State
 
 _LARGEST_CONFIG = 1_000_000  # bytes

@@ -16,10 +16,10 @@ from importlib import metadata
 from pathlib import Path
 from typing import Literal
 
+from rrm.environ import environment
 from rrm.precision import extensions
-from rrm.process import environment
 from rrmctl.errors import UserError
-from rrmctl.machine import cpu_model, usable_cores
+from rrmctl.hardware import cpu_model, usable_cores
 from rrmctl.planning.experiments import SHIPPED, available
 
 DISTRIBUTION = "rrmctl"

@@ -37,7 +37,7 @@ KNOW_RRM = {
 }
 #: Light, and the one place for what they say: the version, tasks and how they are scored, errors, files, arithmetic.
 FACTS = {
-    *("rrm", "rrm.envs.tasks", "rrm.errors", "rrm.files", "rrm.parquet", "rrm.precision", "rrm.process", "rrm.toml")
+    *("rrm", "rrm.envs.tasks", "rrm.errors", "rrm.files", "rrm.parquet", "rrm.precision", "rrm.environ", "rrm.toml")
 }
 
 #: Floors of either package: a module imports from floors below its own, or from its own room (the first part of its
@@ -68,7 +68,7 @@ DYNAMIC = {
     "rrm.envs.tasks": {"import_module"},
     "rrm.registry": {"import_module", "compile", "exec_module"},
     "rrm.priors.language.translate": {"compile", "exec"},
-    "rrmctl.reports.shelf": {"import_module"},
+    "rrmctl.reports.plugins": {"import_module"},
 }
 #: Readers of files that can hold code, and what runs text.
 RUNS = {
@@ -146,9 +146,9 @@ def test_few_modules_of_the_program_know_the_library() -> None:
 
 
 def test_python_is_started_in_one_way() -> None:
-    """Whoever starts a process gives it the environment of `rrm.process`: no file that lies around is a module."""
-    starting = {name for name in MODULES if "subprocess" in imports(name)} - {"rrmctl.running.pool"}
-    assert starting == {name for name in MODULES if "rrm.process" in imports(name)} - {"rrmctl.cli.app"}
+    """Whoever starts a process gives it the environment of `rrm.environ`: no file that lies around is a module."""
+    starting = {name for name in MODULES if "subprocess" in imports(name)} - {"rrmctl.running.supervisor"}
+    assert starting == {name for name in MODULES if "rrm.environ" in imports(name)} - {"rrmctl.cli.app"}
 
 
 def test_statistics_stand_alone() -> None:

@@ -13,10 +13,10 @@ import typer
 from rrmctl.cli.app import app
 from rrmctl.export.formats import formats
 from rrmctl.planning.manifest import load
-from rrmctl.reports import tables
+from rrmctl.reports import iqm_curves
 from rrmctl.reports.figures import figures
-from rrmctl.reports.kinds import kinds
 from rrmctl.reports.notebook import FromFrames
+from rrmctl.reports.tables import kinds
 
 ROOT = Path(__file__).parent.parent
 README = (ROOT / "README.md").read_text()
@@ -122,7 +122,7 @@ def test_the_page_of_reports_lists_the_tables():
     assert set(rows) == set(kinds())
     everywhere = set(re.search(r"Most have `(.*?)`", page).group(1).split(", "))
     for name, entry in kinds().items():
-        columns = tables.COLUMNS if name == "iqm" else getattr(entry.load(), "COLUMNS", ("table",))
+        columns = iqm_curves.COLUMNS if name == "iqm" else getattr(entry.load(), "COLUMNS", ("table",))
         assert set(columns) - everywhere == set(rows[name].split(", ")) - everywhere, name
 
 

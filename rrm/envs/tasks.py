@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from rrm.interfaces import Env
     from rrm.types import Floats
 
-Score = Literal["success", "return"]
+ScoreKind = Literal["success", "return"]
 
 #: Where a feature stands in the observation, or how it follows from it.
 Feature = slice | Callable[["Floats"], Any]
@@ -33,7 +33,7 @@ class Task:
 
     name: str  #: as on the command line
     suite: str  #: "metaworld", "dmc" or "toy"
-    score: Score  #: what the paper reports for it: success rate, or true return
+    score: ScoreKind  #: what the paper reports for it: success rate, or true return
     horizon: int  #: steps of an episode
     obs_dim: int  #: length of the observation vector
     act_dim: int  #: length of the action vector; every action lies in [-1, 1]

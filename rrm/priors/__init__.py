@@ -13,7 +13,7 @@ from rrm.config import IMITATION
 from rrm.envs.tasks import Task
 from rrm.errors import ConfigError, PriorError, UnknownNameError
 from rrm.priors import language
-from rrm.priors.evaluate import evaluate_prior
+from rrm.priors.calling import evaluate_prior
 from rrm.registry import check_file, is_file_reference, lookup
 
 if TYPE_CHECKING:

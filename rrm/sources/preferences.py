@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, cast
 import numpy as np
 import torch
 
-from rrm.buffers.preferences import PairRing, Preferences, StoredFeedback
+from rrm.buffers.pairs import PairRing, Preferences, StoredFeedback
 from rrm.queries import select, uniform_pairs
 from rrm.sources.base import RewardSource
 from rrm.teachers.journal import Journal

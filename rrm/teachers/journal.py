@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from rrm.buffers.experience import Experience
-    from rrm.buffers.preferences import Preference, Rows
+    from rrm.buffers.pairs import Preference, Rows
     from rrm.types import State
 
 

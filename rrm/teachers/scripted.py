@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from rrm.buffers.preferences import EQUAL, SKIPPED, Preference
+from rrm.buffers.pairs import EQUAL, SKIPPED, Preference
 from rrm.interfaces import Answer, Query, TrueRewards
 from rrm.types import Floats
 

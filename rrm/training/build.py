@@ -30,9 +30,9 @@ from rrm.sources.entropy import StateEntropy
 from rrm.sources.known import PriorAlone, TrueReward
 from rrm.sources.preferences import PreferenceReward
 from rrm.teachers.scripted import ScriptedTeacher
-from rrm.training.collect import PriorSource
-from rrm.training.config import RunConfig
 from rrm.training.phases import Phase
+from rrm.training.prior_values import PriorSource
+from rrm.training.run_config import RunConfig
 
 #: Folders of earlier runs, by identity.
 Results = Mapping[str, Path]

@@ -16,7 +16,7 @@ from rrm.imitation.demos import Demonstrations
 from rrm.interfaces import Env
 from rrm.seeding import Streams
 from rrm.training.build import build_agent
-from rrm.training.config import RunConfig
+from rrm.training.run_config import RunConfig
 from rrm.types import Floats
 
 Policy = Callable[[Floats], Floats]

@@ -20,12 +20,12 @@ from rrm.errors import NumericalError, PriorError, WaitingError
 from rrm.files import make_folder, write_atomically
 from rrm.registry import lookup
 from rrm.training.build import DEMOS, Assembled, Results, assemble, result_of
-from rrm.training.config import RunConfig
 from rrm.training.demonstrate import demonstrate, expert_policy
-from rrm.training.demos import DemosConfig
+from rrm.training.demos_config import DemosConfig
 from rrm.training.fingerprint import fingerprint
 from rrm.training.kinds import JOBS, JobConfig
 from rrm.training.loop import Trainer
+from rrm.training.run_config import RunConfig
 from rrm.types import EvalRow, State
 
 __all__ = ["Monitor", "collect", "fingerprint", "perform", "train"]

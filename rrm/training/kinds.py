@@ -73,8 +73,8 @@ class JobKind:
 
 #: Every kind by its name.
 JOBS = {
-    "train": JobKind("rrm.training.config:RunConfig", "rrm.training.jobs:train"),
-    "demos": JobKind("rrm.training.demos:DemosConfig", "rrm.training.jobs:collect"),
+    "train": JobKind("rrm.training.run_config:RunConfig", "rrm.training.jobs:train"),
+    "demos": JobKind("rrm.training.demos_config:DemosConfig", "rrm.training.jobs:collect"),
 }
 
 

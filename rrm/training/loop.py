@@ -20,9 +20,9 @@ from rrm.nets.precision import check_precision
 from rrm.seeding import Streams, evaluation_seed
 from rrm.sources.base import RewardSource
 from rrm.training.build import Assembled, Results, assemble
-from rrm.training.config import RunConfig
 from rrm.training.evaluate import evaluate
 from rrm.training.phases import Phase, phase_at
+from rrm.training.run_config import RunConfig
 from rrm.types import EvalRow, Floats, State, Transition
 
 _NAN = float("nan")

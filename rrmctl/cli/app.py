@@ -14,9 +14,9 @@ import typer
 from typer.core import TyperGroup
 
 import rrm
+from rrm.environ import environment
 from rrm.errors import RrmError
-from rrm.process import environment
-from rrmctl.cli import clean, demos, explain, export, inspect, page, prior, report, run, show, state
+from rrmctl.cli import clean, demos, explain, export, page, plan, prior, report, run, show, status
 from rrmctl.errors import Exit, UserError, room_error
 from rrmctl.streams import UndeliveredError, attend
 from rrmctl.terminal import console
@@ -129,8 +129,8 @@ def rrmctl(
 
 
 _COMMANDS = (
-    *(inspect.list_, inspect.plan, run.run, state.status, run.resume, show.show),
-    *(report.plot, export.export, clean.clean, inspect.doctor),
+    *(plan.list_, plan.plan, run.run, status.status, run.resume, show.show),
+    *(report.plot, export.export, clean.clean, plan.doctor),
 )
 for _command in _COMMANDS:
     app.command(_command.__name__.rstrip("_"))(_command)  # list_ is the command `list`

@@ -43,7 +43,7 @@ def collect(
       rrmctl run main-results --methods rrm-imitation --set imitation.demos=mine.safetensors
     """
     from rrmctl.running import demos
-    from rrmctl.store.atomic import storage_error
+    from rrmctl.store.files import storage_error
     from rrmctl.store.reader import find_run, open_results
 
     if (run is None) == (scripted is None):

@@ -6,8 +6,8 @@ from typing import Annotated
 
 import typer
 
-from rrmctl.reports.kinds import explained, kinds
-from rrmctl.reports.shelf import choose
+from rrmctl.reports.plugins import choose
+from rrmctl.reports.tables import explained, kinds
 from rrmctl.terminal import stdout_console
 
 

@@ -11,7 +11,7 @@ from rrm.files import place
 from rrmctl.cli.options import DEFAULT_RESULTS, ResultsOption
 from rrmctl.cli.screen import tell
 from rrmctl.export.formats import formats
-from rrmctl.reports.shelf import choose
+from rrmctl.reports.plugins import choose
 
 
 def _told() -> str:

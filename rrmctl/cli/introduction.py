@@ -19,15 +19,15 @@ LARGE_H = 1.0
 
 def from_nothing(expected: Forecast) -> Forecast:
     """The forecast of a plan of which nothing has been run."""
-    from rrmctl.store.records import Status
+    from rrmctl.store.status import Status
 
     return replace(expected, states=dict.fromkeys(expected.states, Status()))
 
 
 def introduce(console: Console, request: Request, expected: Forecast, slots: int) -> None:
     """Say what a command is about to run, what it costs, and what would cost less."""
-    from rrmctl.machine import usable_cores
-    from rrmctl.planning.notes import notes
+    from rrmctl.hardware import usable_cores
+    from rrmctl.planning.warnings import notes
 
     plan = expected.plan
     done, failed = expected.count("done"), expected.count("failed")

@@ -7,11 +7,11 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from rrmctl.cli.request import duration
-from rrmctl.running.pool import Assignment
-from rrmctl.running.scheduler import Ending, Outcome, Phase
+from rrmctl.running.scheduler import Ending, Outcome, Stage
+from rrmctl.running.supervisor import Assignment
 from rrmctl.store.layout import Layout
 from rrmctl.store.reader import log_tail
-from rrmctl.store.records import ErrorKind, RunError
+from rrmctl.store.status import ErrorKind, RunError
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -53,8 +53,8 @@ class Lines:
     def note(self, job: str, text: str) -> None:
         self.say(job, text, style="yellow")
 
-    def ended(self, job: str, outcome: Outcome, phase: Phase) -> None:
-        if phase in (Phase.DONE, Phase.FAILED, Phase.BLOCKED):
+    def ended(self, job: str, outcome: Outcome, phase: Stage) -> None:
+        if phase in (Stage.DONE, Stage.FAILED, Stage.BLOCKED):
             self.over += 1
         match outcome.ending:
             case Ending.DONE:
@@ -87,11 +87,11 @@ class Lines:
         line = Text.assemble((time.strftime("%H:%M:%S "), "dim"), (self._jobs[job].label, "bold"), ": ")
         self.console.print(line.append(text, style), soft_wrap=True)
 
-    def _failed(self, job: str, error: RunError, phase: Phase) -> None:
+    def _failed(self, job: str, error: RunError, phase: Stage) -> None:
         if error.kind is ErrorKind.WAITING:
             self.say(job, f"waits for {error}", style="yellow")
             return
-        after = {Phase.WAITING: "will be tried again", Phase.FAILED: "failed"}.get(phase, "stopped")
+        after = {Stage.WAITING: "will be tried again", Stage.FAILED: "failed"}.get(phase, "stopped")
         self.say(job, f"{after}: {error}", style="red")
         folder = self._layout.run(job)
         if error.kind in (ErrorKind.REFUSED, ErrorKind.STORAGE, ErrorKind.MISSING):
@@ -133,13 +133,13 @@ class Bars(Lines):
         self._at[job] = step
         self._update(job, completed=step, score=score(success, true_return))
 
-    def ended(self, job: str, outcome: Outcome, phase: Phase) -> None:
+    def ended(self, job: str, outcome: Outcome, phase: Stage) -> None:
         super().ended(job, outcome, phase)
         if job in self._bars:
             self.progress.remove_task(self._bars.pop(job))
         self._rates.pop(job, None)
         self._at.pop(job, None)
-        if phase in (Phase.DONE, Phase.FAILED, Phase.BLOCKED):
+        if phase in (Stage.DONE, Stage.FAILED, Stage.BLOCKED):
             self._steps_done += self._jobs[job].steps
 
     def tick(self) -> None:

@@ -9,7 +9,7 @@ import typer
 
 from rrm.files import place
 from rrmctl.cli.options import DEFAULT_RESULTS, ResultsOption
-from rrmctl.cli.report import Iqm, IqmOption, MixedOption, ProfileOption, ReplicatesOption
+from rrmctl.cli.report import IqmKindOption, IqmOption, MixedOption, ProfileOption, ReplicatesOption
 from rrmctl.cli.screen import tell
 from rrmctl.errors import UserError
 
@@ -26,7 +26,7 @@ def html(
         ),
     ] = Path("report.html"),
     results: ResultsOption = DEFAULT_RESULTS,
-    kind: IqmOption = Iqm.RLIABLE,
+    kind: IqmOption = IqmKindOption.RLIABLE,
     profile: ProfileOption = None,
     replicates: ReplicatesOption = 10_000,
     allow_mixed: MixedOption = False,
@@ -36,12 +36,12 @@ def html(
     The file needs no other and no network. Figures enlarge, tables sort, and
     it prints. Runs under way and failed ones are on it, as such.
     """
-    from rrmctl.reports.page.document import build
-    from rrmctl.reports.settings import Settings
-    from rrmctl.store.atomic import StorageError, write_bytes
+    from rrmctl.reports.page.assembly import build
+    from rrmctl.reports.statistics import Statistics
+    from rrmctl.store.files import StorageError, write_bytes
 
     chosen = [Path(name).stem if name.endswith(".toml") else name for name in names or ()]
-    settings = Settings(kind=kind.value, replicates=replicates)
+    settings = Statistics(kind=kind.value, replicates=replicates)
     page = build(results, chosen, profile=profile, settings=settings, allow_mixed=allow_mixed)
     data = page.encode()
     try:

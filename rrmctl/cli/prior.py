@@ -82,8 +82,8 @@ def add(
       rrmctl prior language add button-press answer-*.py --model GPT-5 --date 2025-10-01
     """
     from rrm.envs.tasks import task as task_of
-    from rrm.priors.language.choose import Origin
-    from rrm.priors.language.choose import add as freeze
+    from rrm.priors.language.candidates import Origin
+    from rrm.priors.language.candidates import add as freeze
     from rrm.priors.language.prompt import make_prompt
     from rrmctl.planning.experiments import OWN
 

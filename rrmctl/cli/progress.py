@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from rrmctl.cli.request import duration
 
 if TYPE_CHECKING:
-    from rrmctl.store.records import Status
+    from rrmctl.store.status import Status
     from rrmctl.store.sweeps import JobRecord, SweepRecord
 
 #: States in the order in which they are shown.

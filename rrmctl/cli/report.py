@@ -15,13 +15,13 @@ from rrmctl.cli.options import DEFAULT_RESULTS, ResultsOption
 from rrmctl.cli.screen import tell
 from rrmctl.errors import UserError
 from rrmctl.reports.figures import figures
-from rrmctl.reports.kinds import kinds
-from rrmctl.reports.shelf import choose
+from rrmctl.reports.plugins import choose
+from rrmctl.reports.tables import kinds
 from rrmctl.terminal import spelled, stdout_console
 
 if TYPE_CHECKING:
+    from rrmctl.reports.plugins import Entry
     from rrmctl.reports.series import Section
-    from rrmctl.reports.shelf import Entry
 
 report_app = typer.Typer(no_args_is_help=True, help="Tables from the store, with intervals and what is missing.")
 
@@ -37,7 +37,7 @@ class Format(StrEnum):
 
 
 class Drawing(StrEnum):
-    """Forms of a figure's file; a test compares with `rrmctl.reports.canvas`."""
+    """Forms of a figure's file; a test compares with `rrmctl.reports.figure_files`."""
 
     PNG = "png"
     PDF = "pdf"
@@ -51,7 +51,7 @@ class Across(StrEnum):
     PAGE = "page"
 
 
-class Iqm(StrEnum):
+class IqmKindOption(StrEnum):
     """Kinds of interquartile mean."""
 
     RLIABLE = "rliable"
@@ -66,7 +66,7 @@ ProfileOption = Annotated[
     str | None, typer.Option("--profile", help="Only runs at this scale. Default: all, each in a table of its own.")
 ]
 IqmOption = Annotated[
-    Iqm,
+    IqmKindOption,
     typer.Option(
         "--iqm",
         help="Interquartile mean: rliable drops whole runs at each end (of ten the middle six count); exact weighs the "
@@ -109,7 +109,7 @@ def _table(entry: Entry) -> Callable[..., None]:
                 "-o", "--output", parser=place, metavar="FILE", help="Write to a file instead of the terminal."
             ),
         ] = None,
-        kind: IqmOption = Iqm.RLIABLE,
+        kind: IqmOption = IqmKindOption.RLIABLE,
         profile: ProfileOption = None,
         replicates: ReplicatesOption = 10_000,
         allow_mixed: MixedOption = False,
@@ -117,10 +117,10 @@ def _table(entry: Entry) -> Callable[..., None]:
     ) -> None:
         from rrmctl.reports.render import WIDE, print_terminal, to_text
         from rrmctl.reports.select import of_profile, read_sections
-        from rrmctl.reports.settings import Settings
+        from rrmctl.reports.statistics import Statistics
 
         module = entry.load()
-        settings = Settings(kind=kind.value, replicates=replicates, plus_minus=plus_minus)
+        settings = Statistics(kind=kind.value, replicates=replicates, plus_minus=plus_minus)
         found = read_sections(results, _stem(name) or module.EXPERIMENT, allow_mixed=allow_mixed)
         shown = module.make(of_profile(found, profile), settings)
         if output is not None:
@@ -171,19 +171,19 @@ def plot(
         Across,
         typer.Option("--width", help="column: 3.3 inches, one column of a paper; page: as it needs, at most 7 inches."),
     ] = Across.PAGE,
-    kind: IqmOption = Iqm.RLIABLE,
+    kind: IqmOption = IqmKindOption.RLIABLE,
     profile: ProfileOption = None,
     replicates: ReplicatesOption = 10_000,
     allow_mixed: MixedOption = False,
 ) -> None:
     """Draw the figures that suit an experiment as PNG, PDF and SVG and print their paths."""
-    from rrmctl.reports.canvas import encode
+    from rrmctl.reports.figure_files import encode
     from rrmctl.reports.select import of_profile, read_sections
-    from rrmctl.reports.settings import Settings
+    from rrmctl.reports.statistics import Statistics
 
     known = figures()
     drawn = {figure: choose(known, figure, "figure").load() for figure in wanted or known}
-    settings = Settings(kind=kind.value, replicates=replicates, width=width.value)
+    settings = Statistics(kind=kind.value, replicates=replicates, width=width.value)
     found = read_sections(results, _stem(name), allow_mixed=allow_mixed)
     for section in _with_runs(of_profile(found, profile)):
         where = f"{section.experiment}, profile {section.profile}"
@@ -233,7 +233,7 @@ def _stem(name: str | None) -> str | None:
 
 
 def _write(path: Path, data: bytes) -> None:
-    from rrmctl.store.atomic import StorageError, write_bytes
+    from rrmctl.store.files import StorageError, write_bytes
 
     try:
         write_bytes(path, data)

@@ -11,10 +11,10 @@ from rrmctl.cli.options import split_names
 from rrmctl.errors import UserError
 
 if TYPE_CHECKING:
-    from rrmctl.planning.cost import Estimate
+    from rrmctl.planning.cost import CostEstimate
     from rrmctl.planning.plan import Job, Plan
     from rrmctl.store.layout import Layout
-    from rrmctl.store.records import Status
+    from rrmctl.store.status import Status
     from rrmctl.store.sweeps import JobRecord
 
 
@@ -58,7 +58,7 @@ class Forecast:
 
     plan: Plan
     states: Mapping[str, Status]  #: by job id
-    cost: Estimate
+    cost: CostEstimate
 
     def count(self, state: str) -> int:
         """Jobs in this state."""
@@ -83,12 +83,12 @@ def forecast(plan: Plan, layout: Layout) -> Forecast:
     Raises:
         UserError: a sweep record is damaged.
     """
-    from rrmctl.planning.cost import estimate
+    from rrmctl.planning.cost import estimate_cost
     from rrmctl.store.reader import statuses
     from rrmctl.store.speeds import stored_speeds
 
     states = statuses(layout, plan.everything)
-    return Forecast(plan, states, estimate(plan, stored_speeds(layout, states)))
+    return Forecast(plan, states, estimate_cost(plan, stored_speeds(layout, states)))
 
 
 def job_record(job: Job) -> JobRecord:
@@ -117,11 +117,11 @@ def in_words(forecast: Forecast, cores: int) -> str:
 
 def smaller(request: Request, plan: Plan) -> list[str]:
     """How to pay less: what the same request would cost in cheaper profiles, and how to ask for a part of it."""
-    from rrmctl.planning.cost import estimate, measure_gemm
+    from rrmctl.planning.cost import estimate_cost, measure_gemm
     from rrmctl.planning.profiles import profiles
 
     gemm = measure_gemm()
-    bound = estimate(plan, {}, gemm).core_hours()
+    bound = estimate_cost(plan, {}, gemm).core_hours()
     seeds = {job.seed for job in plan.jobs}  # they cost the same, so one of them is planned
     lines = []
     for name, scale in profiles().items():
@@ -131,7 +131,9 @@ def smaller(request: Request, plan: Plan) -> list[str]:
             other = replace(request, profile=name, seeds=f"{min(seeds)},").plan()
         except UserError:  # a profile that cannot hold the request is no advice
             continue
-        hours = estimate(other, {}, gemm).core_hours({job.id: len(seeds) for job in other.jobs})  # needs are met once
+        hours = estimate_cost(other, {}, gemm).core_hours(
+            {job.id: len(seeds) for job in other.jobs}
+        )  # shared needs once
         if hours < bound / 2:  # a profile that saves little is no advice
             lines.append(f"--profile {name}: about {duration(hours)} of one core; {scale.about}")
             bound = hours

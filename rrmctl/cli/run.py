@@ -10,10 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from rrmctl.cli.again import remaking_commands, unconfigured
-from rrmctl.cli.finish import finish
 from rrmctl.cli.introduction import LARGE_H, from_nothing, introduce
-from rrmctl.cli.leaving import resumable
 from rrmctl.cli.options import (
     DEFAULT_RESULTS,
     HANG_AFTER_MIN,
@@ -37,8 +34,11 @@ from rrmctl.cli.options import (
 )
 from rrmctl.cli.progress import runs
 from rrmctl.cli.request import Request, forecast, job_record
+from rrmctl.cli.rerun import remaking_commands, unconfigured
 from rrmctl.cli.screen import drain, unfailing
-from rrmctl.cli.state import note_damage
+from rrmctl.cli.status import note_damage
+from rrmctl.cli.stop_signals import resumable
+from rrmctl.cli.summary import finish
 from rrmctl.cli.trust import remember, require_trust
 from rrmctl.commands import rrmctl
 from rrmctl.errors import Exit, UserError
@@ -48,9 +48,9 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from rrmctl.planning.plan import Job, Plan
-    from rrmctl.running.pool import Assignment
+    from rrmctl.running.supervisor import Assignment
     from rrmctl.store.layout import Layout
-    from rrmctl.store.records import Status
+    from rrmctl.store.status import Status
     from rrmctl.store.sweeps import JobRecord, SweepRecord
 
 
@@ -99,7 +99,7 @@ def run(
 
       rrmctl run toy-car --until-decided --max-seeds 20 --against pebble
     """
-    from rrmctl.cli.deciding import asked_rules, until_decided
+    from rrmctl.cli.until_decided import asked_rules, until_decided
     from rrmctl.store.reader import new_results, statuses
     from rrmctl.store.sweeps import readable_sweeps
 
@@ -188,7 +188,7 @@ def resume(
 
 def _default_slots(threads: Iterable[int]) -> int:
     """As many jobs at a time as the cores allow when each keeps its threads busy."""
-    from rrmctl.machine import usable_cores
+    from rrmctl.hardware import usable_cores
 
     return max(1, usable_cores() // max(threads, default=1))
 
@@ -222,8 +222,8 @@ def _record(console: Console, layout: Layout, plan: Plan) -> SweepRecord:
 
 
 def _configure(layout: Layout, jobs: Iterable[Job]) -> list[str | None]:
-    from rrmctl.running.runfile import code_files, config_content
-    from rrmctl.store.records import record_config
+    from rrmctl.running.config_file import code_files, config_content
+    from rrmctl.store.status import record_config
 
     contents = {job.id: config_content(job.config) for job in jobs}
     remember(digest for content in contents.values() for digest in code_files(content).values())
@@ -231,7 +231,7 @@ def _configure(layout: Layout, jobs: Iterable[Job]) -> list[str | None]:
 
 
 def _assignment(job: JobRecord, status: Status, threads: int, *, fresh: bool) -> Assignment:
-    from rrmctl.running.pool import Assignment
+    from rrmctl.running.supervisor import Assignment
 
     return Assignment(
         id=job.id, label=job.label, steps=job.steps, threads=threads, attempt=status.attempt, fresh=fresh,
@@ -241,7 +241,7 @@ def _assignment(job: JobRecord, status: Status, threads: int, *, fresh: bool) ->
 
 def _code(layout: Layout, jobs: Iterable[JobRecord]) -> dict[str, str]:
     """Digests of the code of users that these runs name, by path."""
-    from rrmctl.running.runfile import code_files
+    from rrmctl.running.config_file import code_files
     from rrmctl.store.reader import read_config
 
     found: dict[str, str] = {}
@@ -271,7 +271,7 @@ def _run(
     """Run the jobs, shown as bars at a terminal and as lines elsewhere."""
     from rrmctl.cli.live import Bars, Lines
     from rrmctl.running.local import LocalExecutor
-    from rrmctl.running.pool import Pool
+    from rrmctl.running.supervisor import Supervisor
 
     if not assigned:
         return Exit.DONE
@@ -281,7 +281,7 @@ def _run(
         hang_after_s=hang_after_min * 60.0,
     )
     pool = partial(
-        Pool, layout=layout, assignments=assigned, slots=slots, executor=executor, asked=["rrmctl", *sys.argv[1:]]
+        Supervisor, layout=layout, assignments=assigned, slots=slots, executor=executor, asked=["rrmctl", *sys.argv[1:]]
     )  # fmt: skip
     if not sys.stderr.isatty() or console.is_dumb_terminal:
         return pool(watcher=Lines(console, layout, assigned)).run()

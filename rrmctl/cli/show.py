@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from rrmctl.cli.again import rerun_command
 from rrmctl.cli.options import DEFAULT_RESULTS, ResultsOption
-from rrmctl.cli.state import note_damage
+from rrmctl.cli.rerun import rerun_command
+from rrmctl.cli.status import note_damage
 from rrmctl.errors import UserError
 from rrmctl.store.schema import IDENTITY, MEASURED
 from rrmctl.terminal import stdout_console
@@ -116,7 +116,7 @@ def _sections(known: Mapping[str, Any]) -> dict[str, str]:
 
 
 def _error(error: Mapping[str, Any] | None) -> str:
-    from rrmctl.store.records import RunError
+    from rrmctl.store.status import RunError
 
     return "" if error is None else str(RunError.from_json(error))
 

@@ -29,13 +29,13 @@ from dataclasses import dataclass
 from functools import cache
 from typing import TYPE_CHECKING
 
-from rrm.process import environment
+from rrm.environ import environment
 from rrmctl.errors import UserError
 
 if TYPE_CHECKING:
-    from rrm.training.config import RunConfig
-    from rrmctl.planning.needs import Config
+    from rrm.training.run_config import RunConfig
     from rrmctl.planning.plan import Plan
+    from rrmctl.planning.prerequisites import Config
 
 #: (task, method, variant) -> environment steps per second, evaluation included.
 Rates = Mapping[tuple[str, str, str], float]
@@ -65,7 +65,7 @@ print(2 * 256**3 / min(filter(None, spent)))
 
 
 @dataclass(frozen=True)
-class Estimate:
+class CostEstimate:
     """Cost of every job of a plan on its own core."""
 
     seconds: Mapping[str, float]  #: by job id, from nothing to the end
@@ -86,7 +86,7 @@ class Estimate:
         return model if known == 0 else f"{known} of {count} jobs from the speed of stored runs, the rest {model}"
 
 
-def estimate(plan: Plan, rates: Rates, gemm: float | None = None) -> Estimate:
+def estimate_cost(plan: Plan, rates: Rates, gemm: float | None = None) -> CostEstimate:
     """The cost of a plan.
 
     Args:
@@ -106,7 +106,7 @@ def estimate(plan: Plan, rates: Rates, gemm: float | None = None) -> Estimate:
             gemm = measure_gemm() if gemm is None else gemm
             modelled[job.row] = model_seconds(job.config, gemm)
         seconds[job.id] = modelled[job.row]
-    return Estimate(seconds, frozenset(measured))
+    return CostEstimate(seconds, frozenset(measured))
 
 
 @cache

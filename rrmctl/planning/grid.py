@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 from rrmctl.errors import UserError
-from rrmctl.planning.manifest import Axis, Grid, Include, Manifest, Rows
+from rrmctl.planning.manifest import Axis, Grid, GridRows, Include, Manifest
 from rrmctl.planning.profiles import Layer
 
 #: The axes of a grid in the order in which rows vary, the last one fastest, and what a row calls its value.
@@ -19,7 +19,7 @@ _MOST_ROWS = 5000
 
 
 @dataclass(frozen=True)
-class Row:
+class GridRow:
     """One row of a grid, before seeds."""
 
     task: str
@@ -30,14 +30,14 @@ class Row:
     own: Layer  #: the `set` of the include it comes from
 
 
-def rows_of(manifest: Manifest) -> list[Row]:
+def rows_of(manifest: Manifest) -> list[GridRow]:
     """Every row, in the manifest's order.
 
     Raises:
         UserError: paired axes differ in length, an exclude matches nothing, or leaves nothing, or there are too many.
     """
     several = len(manifest.grids) > 1
-    rows: dict[Row, None] = {}
+    rows: dict[GridRow, None] = {}
     for number, grid in enumerate(manifest.grids, start=1):
         where = f"{manifest.path} [[grid]] {number}" if several else f"{manifest.path} [grid]"
         rows |= dict.fromkeys(_grid_rows(grid, where))
@@ -50,7 +50,7 @@ def _refuse_many(rows: int, where: str) -> None:
         raise UserError(f"{where}: {rows:,} rows; an experiment has at most {_MOST_ROWS:,}", "divide it into several")
 
 
-def _grid_rows(grid: Grid, where: str) -> list[Row]:
+def _grid_rows(grid: Grid, where: str) -> list[GridRow]:
     rows = list(_crossed(grid, where))
     for excluded in grid.exclude:
         left = [row for row in rows if not _agrees(row, excluded)]
@@ -62,7 +62,7 @@ def _grid_rows(grid: Grid, where: str) -> list[Row]:
     return rows + [_included(row, entry, where) for entry in grid.include for row in rows]
 
 
-def _crossed(grid: Grid, where: str) -> Iterator[Row]:
+def _crossed(grid: Grid, where: str) -> Iterator[GridRow]:
     """Every combination of the axes; those of a `zip` advance together."""
     values = {axis: getattr(grid, axis) for axis in AXES}
     paired = {axis: group for group in grid.zip for axis in group}
@@ -76,15 +76,15 @@ def _crossed(grid: Grid, where: str) -> Iterator[Row]:
     layer, own = Layer(f"{where} set", grid.set), Layer(f"{where} include", {})
     for places in itertools.product(*map(range, sizes)):
         at = {axis: values[axis][place] for group, place in zip(groups, places, strict=True) for axis in group}
-        yield Row(at["tasks"], at["methods"], at["teachers"], at["feedback"], layer, own)
+        yield GridRow(at["tasks"], at["methods"], at["teachers"], at["feedback"], layer, own)
 
 
-def _agrees(row: Row, wanted: Rows) -> bool:
+def _agrees(row: GridRow, wanted: GridRows) -> bool:
     return all(getattr(wanted, name) in (None, getattr(row, name)) for name in AXES.values())
 
 
-def _included(row: Row, entry: Include, where: str) -> Row:
-    return Row(
+def _included(row: GridRow, entry: Include, where: str) -> GridRow:
+    return GridRow(
         entry.task or row.task,
         entry.method or row.method,
         entry.teacher or row.teacher,
@@ -94,6 +94,6 @@ def _included(row: Row, entry: Include, where: str) -> Row:
     )
 
 
-def _spelled(rows: Rows) -> str:
+def _spelled(rows: GridRows) -> str:
     given = {name: getattr(rows, name) for name in AXES.values()}
     return "{" + ", ".join(f'{name} = "{value}"' for name, value in given.items() if value is not None) + "}"

@@ -27,7 +27,7 @@ from pydantic import (
 from rrmctl.errors import UserError, check_known, shown
 from rrmctl.planning.toml import read_toml
 
-#: Settings of a run, as nested tables with the keys of `rrm.training.config.RunConfig`.
+#: Settings of a run, as nested tables with the keys of `rrm.training.run_config.RunConfig`.
 Settings = dict[str, Any]
 
 Axis = Literal["tasks", "methods", "teachers", "feedback"]
@@ -60,7 +60,7 @@ class _Frozen(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
 
-class Rows(_Frozen):
+class GridRows(_Frozen):
     """Some rows of a grid: those that agree with every name given here."""
 
     task: Name | None = None
@@ -69,7 +69,7 @@ class Rows(_Frozen):
     feedback: Name | None = None
 
 
-class Include(Rows):
+class Include(GridRows):
     """Rows beside those of the grid; an axis that is not named takes all of the grid's values."""
 
     set: Settings = Field(default_factory=dict)  #: settings of these rows alone
@@ -84,7 +84,7 @@ class Grid(_Frozen):
     feedback: Names = (DEFAULT_FEEDBACK,)  #: names of [feedback.NAME] sections
     zip: tuple[Annotated[tuple[Axis, ...], Field(min_length=2)], ...] = ()  #: axes that advance together
     include: tuple[Include, ...] = ()
-    exclude: tuple[Rows, ...] = ()
+    exclude: tuple[GridRows, ...] = ()
     set: Settings = Field(default_factory=dict)  #: settings of every row of this grid
 
     @field_validator("tasks", "methods", "teachers", "feedback")
@@ -179,7 +179,7 @@ def _check_grid(grid: Any, where: str) -> None:
     if not isinstance(grid, dict):
         raise UserError(f"{where}: expected a table with tasks and methods, got {shown(grid)}")
     refuse_unknown(grid, Grid.model_fields, where)
-    for key, model in (("include", Include), ("exclude", Rows)):
+    for key, model in (("include", Include), ("exclude", GridRows)):
         rows = grid.get(key, [])
         if isinstance(rows, list):
             for row in rows:

@@ -16,7 +16,7 @@ from rrm.registry import check_file, is_file_reference
 from rrm.rewards import LEARNERS
 from rrmctl.errors import UserError
 from rrmctl.planning.manifest import MethodTable, Settings
-from rrmctl.planning.profiles import Kind
+from rrmctl.planning.profiles import ProfileKind
 
 #: The learner that a residual method's name leaves out.
 BASE_LEARNER = "pebble"
@@ -34,7 +34,7 @@ class Method:
     settings: Settings = field(default_factory=dict)
 
     @property
-    def kind(self) -> Kind:
+    def kind(self) -> ProfileKind:
         """Known reward, learned from nothing, or learned on a prior."""
         if KINDS.get(self.learner, LEARNED).known:
             return "known"

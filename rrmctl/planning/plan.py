@@ -14,11 +14,11 @@ from typing import Any
 from rrm.errors import RrmError
 from rrmctl.errors import UserError, check_known, shown
 from rrmctl.labels import NOTHING_ASKED, Label
-from rrmctl.planning.cells import check_names, check_sections, configure, feedback_label
-from rrmctl.planning.grid import AXES, Row, rows_of
+from rrmctl.planning.grid import AXES, GridRow, rows_of
+from rrmctl.planning.layering import check_names, check_sections, configure, feedback_label
 from rrmctl.planning.manifest import Manifest
 from rrmctl.planning.methods import Method, method, residual
-from rrmctl.planning.needs import Config, supply
+from rrmctl.planning.prerequisites import Config, supply
 from rrmctl.planning.profiles import profile as find_profile
 from rrmctl.planning.settings import check_assignments, parse_assignments
 
@@ -129,7 +129,7 @@ def _scale(manifest: Manifest, asked: str | None) -> str:
     return find_profile(manifest.default_profile, f"{manifest.path}: default_profile").name
 
 
-def _refuse_many(rows: Sequence[Row], seeds: Sequence[int], manifest: Manifest) -> None:
+def _refuse_many(rows: Sequence[GridRow], seeds: Sequence[int], manifest: Manifest) -> None:
     runs = len(rows) * len(seeds)
     if runs > _MOST_RUNS:
         raise UserError(
@@ -178,7 +178,7 @@ def variant(profile: str, overrides: Mapping[str, Any]) -> str:
     return f"{profile}-{hashlib.sha256(text.encode()).hexdigest()[:8]}"
 
 
-def _check(manifest: Manifest, rows: list[Row]) -> None:
+def _check(manifest: Manifest, rows: list[GridRow]) -> None:
     """Refuse unknown names, and sections for names that the grid does not have."""
     for row in rows:
         check_names(manifest, row)
@@ -192,8 +192,8 @@ def _check(manifest: Manifest, rows: list[Row]) -> None:
 
 
 def _only(
-    rows: list[Row], axis: str, wanted: Sequence[str] | None, manifest: Manifest, beside: Iterable[str] = ()
-) -> list[Row]:
+    rows: list[GridRow], axis: str, wanted: Sequence[str] | None, manifest: Manifest, beside: Iterable[str] = ()
+) -> list[GridRow]:
     """The rows of the wanted names; None wants all. Names `beside` those of the rows may be wanted too."""
     if wanted is None:
         return rows
@@ -220,7 +220,9 @@ def _added(priors: Sequence[str], known: Mapping[str, Method]) -> dict[str, Meth
     return added
 
 
-def _cell(manifest: Manifest, row: Row, method: Method, scale: str, settings: dict[str, Any]) -> tuple[Job, list[Job]]:
+def _cell(
+    manifest: Manifest, row: GridRow, method: Method, scale: str, settings: dict[str, Any]
+) -> tuple[Job, list[Job]]:
     """The row as a job of seed 0, its files read and digested once for all seeds; and the jobs that it needs first."""
     try:
         # What --set names is seen from the command's folder, what the manifest names from its own.

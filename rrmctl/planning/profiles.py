@@ -19,7 +19,7 @@ PATH = Path(__file__).with_name("profiles.toml")
 PAPER = "paper"
 
 #: What a method does before the first update differs by kind: the reward is known, learned, or learned on a prior.
-Kind = Literal["known", "baseline", "residual"]
+ProfileKind = Literal["known", "baseline", "residual"]
 
 _KINDS = ("known", "baseline", "residual")
 
@@ -40,7 +40,7 @@ class Profile:
     about: str  #: one sentence for people
     chain: tuple[tuple[str, dict[str, Any]], ...]  #: (name, table) of what this profile builds on, itself last
 
-    def layers(self, suite: str, task: str, kind: Kind) -> Iterator[Layer]:
+    def layers(self, suite: str, task: str, kind: ProfileKind) -> Iterator[Layer]:
         """The settings of one cell, widest first."""
         for name, table in self.chain:
             rooms = [("all", table.get("all", {}))]

@@ -16,7 +16,7 @@ from pydantic.fields import FieldInfo
 from rrm.config import RewardConfig
 from rrm.errors import RrmError, nearest
 from rrm.toml import NestingError, loads
-from rrm.training.config import CONFIG_VERSION, RunConfig
+from rrm.training.run_config import CONFIG_VERSION, RunConfig
 from rrmctl.errors import UserError, shown
 from rrmctl.planning.manifest import Settings
 from rrmctl.planning.profiles import Layer

@@ -7,7 +7,7 @@ iqm, q25, q75                         float64; success as a fraction, true retur
 low, high                             float64, 95 % interval of the IQM; NaN below three seeds
 n                                     int64, seeds
 iqm_kind                              string, "rliable" or "exact"
-schema_version                        int64, `rrmctl.reports.tables.CURVES_VERSION`
+schema_version                        int64, `rrmctl.reports.iqm_curves.CURVES_VERSION`
 """
 
 from __future__ import annotations
@@ -16,9 +16,9 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from rrmctl.errors import UserError
-from rrmctl.reports.settings import DEFAULTS, Settings
-from rrmctl.reports.tables import CURVE_COLUMNS, curve_table
-from rrmctl.store.atomic import remove_leftovers, write_table
+from rrmctl.reports.iqm_curves import CURVE_COLUMNS, curve_table
+from rrmctl.reports.statistics import DEFAULTS, Statistics
+from rrmctl.store.files import remove_leftovers, write_table
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -39,7 +39,7 @@ def schema() -> pa.Schema:
     return pa.schema(fields)
 
 
-def write(layout: Layout, sections: Sequence[Section], settings: Settings = DEFAULTS) -> None:
+def write(layout: Layout, sections: Sequence[Section], settings: Statistics = DEFAULTS) -> None:
     """Replace the files of all experiments in `sections`, each as a whole.
 
     Raises:

@@ -14,7 +14,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from rrm.envs.tasks import Score
+from rrm.envs.tasks import ScoreKind
 from rrmctl.reports.series import Floats, Series, Steps
 
 NEAR = 0.05
@@ -72,7 +72,7 @@ class Reading:
     steps: Literal["last", "common", "all"] = "last"  #: the last one up to `until`, the box figure's, all up to `until`
     until: float = 1.0  #: share of the training
     measure: Measure = scored
-    unit: Score | None = None  #: how numbers are written; None: as the task's score
+    unit: ScoreKind | None = None  #: how numbers are written; None: as the task's score
     spread: bool = False  #: the standard deviation of the seeds, not their interquartile mean
 
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rrmctl.reports.kinds import kinds
+from rrmctl.reports.plugins import choose
 from rrmctl.reports.select import of_profile, read_sections
-from rrmctl.reports.settings import DEFAULTS, Settings
-from rrmctl.reports.shelf import choose
+from rrmctl.reports.statistics import DEFAULTS, Statistics
+from rrmctl.reports.tables import kinds
 from rrmctl.store.frame import MAYBE_WHOLE, typed
 
 if TYPE_CHECKING:
@@ -24,7 +24,7 @@ def table(
     *,
     profile: str | None = None,
     allow_mixed: bool = False,
-    settings: Settings = DEFAULTS,
+    settings: Statistics = DEFAULTS,
 ) -> pd.DataFrame:
     """What `rrmctl report KIND [EXPERIMENT]` shows, in raw values: success as a fraction, NaN where there is nothing.
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from rrmctl.errors import UserError
 from rrmctl.reports.select import sections
-from rrmctl.reports.settings import Settings, Width
+from rrmctl.reports.statistics import Statistics, Width
 from rrmctl.stats import REPLICATES, IqmKind
 
 if TYPE_CHECKING:
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 class FromFrames:
     """The notebook's side of a figure's `draw`: of one variant of one experiment."""
 
-    def __init__(self, draw: Callable[[Section, Settings], Figure]) -> None:
+    def __init__(self, draw: Callable[[Section, Statistics], Figure]) -> None:
         self._draw = draw
         self.__doc__ = draw.__doc__
 
@@ -45,7 +45,7 @@ class FromFrames:
         Raises:
             UserError: several variants or experiments at once, runs that do not belong together, or nothing to draw.
         """
-        return self._draw(one_section(rows, jobs), Settings(kind=kind, width=width, replicates=replicates))
+        return self._draw(one_section(rows, jobs), Statistics(kind=kind, width=width, replicates=replicates))
 
 
 def nothing(section: Section, what: str) -> UserError:

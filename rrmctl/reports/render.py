@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from rich.console import Console
     from rich.text import Text
 
-    from rrmctl.reports.document import Grid, Report
+    from rrmctl.reports.report import Grid, Report
 
 #: Of the JSON document and the CSV columns; raised by one when one is added, removed, or changes its meaning.
 TEXT_VERSION = 2

@@ -15,7 +15,7 @@ import numpy as np
 
 from rrmctl.errors import UserError
 from rrmctl.reports.series import Floats, Series, Steps, at_steps
-from rrmctl.reports.settings import BOOTSTRAP_SEED, LEVEL, Settings
+from rrmctl.reports.statistics import BOOTSTRAP_SEED, LEVEL, Statistics
 from rrmctl.stats import Estimate, Iqm, estimate, interval_possible, resample
 from rrmctl.stats.bootstrap import Statistic
 
@@ -44,7 +44,7 @@ class Score:
 
 def score(
     tasks: Sequence[Floats],
-    settings: Settings,
+    settings: Statistics,
     *,
     pooled: bool = False,
     stream: int = 0,

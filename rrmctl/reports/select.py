@@ -20,8 +20,8 @@ from rrm.envs.tasks import task
 from rrmctl.commands import rrmctl
 from rrmctl.errors import UserError
 from rrmctl.labels import Label
-from rrmctl.reports import mixing, names
-from rrmctl.reports.mixing import Making
+from rrmctl.reports import comparability, names
+from rrmctl.reports.comparability import Making
 from rrmctl.reports.series import SCORE_COLUMN, Absent, Section, Series, by_seed
 from rrmctl.store.reader import load, open_results, planned
 from rrmctl.store.sweeps import read_sweeps
@@ -51,15 +51,18 @@ def read_sections(
     rows, jobs = load(results, experiment), planned(results, experiment)
     rows = rows[rows["experiment"] != ""]  # runs that no sweep asked for have no labels to be reported under
     begun = [run for run in jobs["run"] if layout.run(run).config.exists()]
-    makings = mixing.read_makings(layout, list(dict.fromkeys([*rows["run"], *begun])))
+    makings = comparability.read_makings(layout, list(dict.fromkeys([*rows["run"], *begun])))
     superseded = {(each.experiment, each.variant): len(each.superseded) for each in read_sweeps(layout, experiment)}
     found = []
     for each in _split(rows, jobs, None, makings):
-        mixed = mixing.mixture(each, makings)
-        refusal = mixing.refuse(each, mixed, results) if mixed and not allow_mixed else None
+        mixed = comparability.mixture(each, makings)
+        refusal = comparability.refuse(each, mixed, results) if mixed and not allow_mixed else None
         trial = read_trial(layout, each.experiment, each.variant)
         marked = _marked(
-            each, mixing.told(mixed), tuple(mixing.remarks(each, makings)), superseded[each.experiment, each.variant]
+            each,
+            comparability.told(mixed),
+            tuple(comparability.remarks(each, makings)),
+            superseded[each.experiment, each.variant],
         )
         found.append(dataclasses.replace(marked, refusal=each.refusal or refusal, trial=trial, source=layout))
     return tuple(found)
@@ -212,7 +215,7 @@ def _series(
     used = done if len(done) else rows[rows["state"].isin(_UNDER_WAY)]
     # Versions differ in their configurations; whether those meet is looked at when all series are known.
     version = used["run"].map(lambda run: versions.get(run, 0))
-    several = [why for _, alike in used.groupby(version) if (why := mixing.configurations(label, alike))]
+    several = [why for _, alike in used.groupby(version) if (why := comparability.configurations(label, alike))]
     if several:
         refusals += several
         used = used[:0]

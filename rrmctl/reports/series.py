@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from rrm.envs.tasks import Score
+from rrm.envs.tasks import ScoreKind
 from rrmctl.errors import UserError
 from rrmctl.labels import Label, knows, panels
 from rrmctl.reports.styles import Looks, styles
@@ -25,7 +25,7 @@ Floats = npt.NDArray[np.float64]
 Steps = npt.NDArray[np.int64]
 
 #: The column of the curve that holds a score.
-SCORE_COLUMN: dict[Score, str] = {"success": "success", "return": "true_return"}
+SCORE_COLUMN: dict[ScoreKind, str] = {"success": "success", "return": "true_return"}
 
 
 class Absent(NamedTuple):
@@ -42,7 +42,7 @@ class Series:
     """The runs one averages over."""
 
     label: Label
-    score: Score
+    score: ScoreKind
     steps: Steps  #: [T], the evaluation steps that all of these runs have
     values: Floats  #: [S, T], success as a fraction or true return; finite
     seeds: tuple[int, ...]  #: [S]
@@ -70,7 +70,7 @@ class Panel:
     task: str
     teacher: str
     feedback: str
-    score: Score
+    score: ScoreKind
     series: tuple[Series, ...]
 
     def present(self) -> tuple[Series, ...]:

@@ -6,9 +6,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rrmctl.errors import UserError
-from rrmctl.running.runfile import load_config
+from rrmctl.running.config_file import load_config
 from rrmctl.store.reader import run_status
-from rrmctl.store.records import State
+from rrmctl.store.status import RunState
 
 if TYPE_CHECKING:
     from rrm.imitation.demos import Demonstrations
@@ -22,11 +22,11 @@ def of_run(folder: RunFolder, episodes: int, seed: int, least_success: float) ->
         UserError: the run is not done, or trains no policy.
         RrmError: its networks are not there, or its policy succeeds too rarely.
     """
-    from rrm.training.config import RunConfig
     from rrm.training.demonstrate import expert_policy
+    from rrm.training.run_config import RunConfig
 
     state = run_status(folder).state
-    if state is not State.DONE:
+    if state is not RunState.DONE:
         raise UserError(f"run {folder.id} is {state}", "demonstrations come from a run that is done")
     config = load_config(folder)
     if not isinstance(config, RunConfig):
@@ -44,7 +44,7 @@ def of_script(task: str, episodes: int, seed: int, least_success: float) -> Demo
     Raises:
         RrmError: there is no such task or policy, or it succeeds too rarely.
     """
-    from rrm.envs.scripted import scripted_policy
+    from rrm.envs.experts import scripted_policy
 
     source = {"source": "scripted"}
     return _played(task, scripted_policy(task), episodes, seed=seed, least_success=least_success, source=source)

@@ -11,10 +11,10 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
-from rrmctl.running.child import WORKER, Child
 from rrmctl.running.executor import Ended, Evaluated, Event, Note, Progress, Started, WorkOrder
-from rrmctl.store.records import ErrorKind, RunError
-from rrmctl.waking import WakingTime
+from rrmctl.running.process import WORKER, Child
+from rrmctl.store.status import ErrorKind, RunError
+from rrmctl.suspend_clock import WakingTime
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

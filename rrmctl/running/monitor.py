@@ -9,9 +9,9 @@ from collections.abc import Sequence
 from contextlib import AbstractContextManager
 from typing import TYPE_CHECKING, Any
 
-from rrmctl.running.lifeline import Pipe, StopRequest, say
+from rrmctl.running.parent_link import Pipe, StopRequest, say
 from rrmctl.store.lease import Lease
-from rrmctl.store.records import State, Status, write_status
+from rrmctl.store.status import RunState, Status, write_status
 from rrmctl.store.writer import CurveWriter
 
 if TYPE_CHECKING:
@@ -69,7 +69,7 @@ class RunMonitor:
         """Around every write into the run's folder."""
         return self._lease.writing()
 
-    def close(self, state: State) -> None:
+    def close(self, state: RunState) -> None:
         """Record how the attempt ended."""
         self._update(state=state)
         self._write()

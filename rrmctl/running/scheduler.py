@@ -9,10 +9,10 @@ from enum import StrEnum
 from types import MappingProxyType
 
 from rrmctl.errors import Exit
-from rrmctl.store.records import ErrorKind, RunError
+from rrmctl.store.status import ErrorKind, RunError
 
 
-class Phase(StrEnum):
+class Stage(StrEnum):
     """Where a job stands in this process' eyes."""
 
     WAITING = "waiting"
@@ -68,7 +68,7 @@ class Scheduler:
         requires: Mapping[str, Collection[str]] = MappingProxyType({}),
     ) -> None:
         self._queue: deque[str] = deque(jobs)
-        self._phase = dict.fromkeys(self._queue, Phase.WAITING)
+        self._phase = dict.fromkeys(self._queue, Stage.WAITING)
         self._requires = {job: [each for each in needed if each in self._phase] for job, needed in requires.items()}
         self._slots = slots
         self._retries = retries
@@ -86,12 +86,12 @@ class Scheduler:
         return next(filter(self._ready, self._queue), None)
 
     def _ready(self, job: str) -> bool:
-        return all(self._phase[needed] is Phase.DONE for needed in self._requires.get(job, ()))
+        return all(self._phase[needed] is Stage.DONE for needed in self._requires.get(job, ()))
 
     def start(self, job: str) -> None:
         """The job `next` named is running."""
         self._queue.remove(job)
-        self._phase[job] = Phase.RUNNING
+        self._phase[job] = Stage.RUNNING
         self._running += 1
 
     def resumed(self, job: str, rows: int) -> None:
@@ -100,13 +100,13 @@ class Scheduler:
             self._crashes[job] = self._kills[job] = 0
         self._rows[job] = rows
 
-    def end(self, job: str, outcome: Outcome) -> Phase:
+    def end(self, job: str, outcome: Outcome) -> Stage:
         """An attempt ended: a running one, one that ran elsewhere, or one that need not start at all.
 
         Returns:
             The job's new phase; `waiting` means that it will be tried again.
         """
-        ran_here = self._phase[job] is Phase.RUNNING
+        ran_here = self._phase[job] is Stage.RUNNING
         self._leave(job)
         self._enter(job, self._after(job, outcome, ran_here=ran_here))
         return self._phase[job]
@@ -116,13 +116,13 @@ class Scheduler:
         blocked = [job for job in self._queue if failed in self._requires.get(job, ())]
         for job in blocked:
             self._queue.remove(job)
-            self._phase[job] = Phase.BLOCKED
+            self._phase[job] = Stage.BLOCKED
         return blocked + [further for job in blocked for further in self.block(job)]
 
     def free(self, job: str) -> None:
         """A job that ran elsewhere was given up there, or could not be started: it is the next to start here."""
         self._leave(job)
-        self._phase[job] = Phase.WAITING
+        self._phase[job] = Stage.WAITING
         self._queue.appendleft(job)
 
     def stop(self) -> None:
@@ -141,63 +141,63 @@ class Scheduler:
         """Jobs that other processes own."""
         return sorted(self._elsewhere)
 
-    def phase(self, job: str) -> Phase:
+    def phase(self, job: str) -> Stage:
         """Where a job stands."""
         return self._phase[job]
 
-    def counts(self) -> Counter[Phase]:
+    def counts(self) -> Counter[Stage]:
         """Jobs by phase."""
         return Counter(self._phase.values())
 
     def exit_code(self) -> Exit:
         """What the command leaves with: incomplete while there is more to do, else failed if anything failed."""
         counts = self.counts()
-        if counts[Phase.DONE] + counts[Phase.FAILED] + counts[Phase.BLOCKED] < len(self._phase):
+        if counts[Stage.DONE] + counts[Stage.FAILED] + counts[Stage.BLOCKED] < len(self._phase):
             return Exit.INCOMPLETE
-        return Exit.FAILED if counts[Phase.FAILED] else Exit.DONE
+        return Exit.FAILED if counts[Stage.FAILED] else Exit.DONE
 
-    def _after(self, job: str, outcome: Outcome, *, ran_here: bool) -> Phase:
+    def _after(self, job: str, outcome: Outcome, *, ran_here: bool) -> Stage:
         match outcome.ending:
             case Ending.DONE:
-                return Phase.DONE
+                return Stage.DONE
             case Ending.STOPPED:
-                return Phase.STOPPED
+                return Stage.STOPPED
             case Ending.ELSEWHERE:
-                return Phase.ELSEWHERE
+                return Stage.ELSEWHERE
             case Ending.BLOCKED:
-                return Phase.BLOCKED
+                return Stage.BLOCKED
             case Ending.FAILED:
                 # Elsewhere it was tried as often as it should be.
-                return self._after_failure(job, outcome.error) if ran_here else Phase.FAILED
+                return self._after_failure(job, outcome.error) if ran_here else Stage.FAILED
 
-    def _after_failure(self, job: str, error: RunError | None) -> Phase:
+    def _after_failure(self, job: str, error: RunError | None) -> Stage:
         assert error is not None  # a failure says why
         if error.kind is ErrorKind.STORAGE:
             self.stop()  # whatever starts next would meet the same folder
-            return Phase.STOPPED
+            return Stage.STOPPED
         if error.kind in (ErrorKind.MISSING, ErrorKind.WAITING):
-            return Phase.STOPPED  # others may have what they need
+            return Stage.STOPPED  # others may have what they need
         if error.kind not in RETRIED:
-            return Phase.FAILED
+            return Stage.FAILED
         killed = error.kind is ErrorKind.KILLED
         count, most = (self._kills, KILLED_RETRIES * self._retries) if killed else (self._crashes, self._retries)
         count[job] += 1
-        return Phase.FAILED if count[job] > most else Phase.WAITING
+        return Stage.FAILED if count[job] > most else Stage.WAITING
 
-    def _enter(self, job: str, phase: Phase) -> None:
+    def _enter(self, job: str, phase: Stage) -> None:
         self._phase[job] = phase
-        if phase is Phase.WAITING:
+        if phase is Stage.WAITING:
             self._queue.append(job)  # behind the others: what crashed one job may be gone by then
-        elif phase is Phase.ELSEWHERE:
+        elif phase is Stage.ELSEWHERE:
             self._elsewhere.add(job)
 
     def _leave(self, job: str) -> None:
         match self._phase[job]:
-            case Phase.RUNNING:
+            case Stage.RUNNING:
                 self._running -= 1
-            case Phase.ELSEWHERE:
+            case Stage.ELSEWHERE:
                 self._elsewhere.discard(job)
-            case Phase.WAITING:
+            case Stage.WAITING:
                 self._queue.remove(job)
             case _:
                 raise ValueError(f"job {job} has ended already")

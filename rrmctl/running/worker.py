@@ -23,16 +23,16 @@ from typing import TYPE_CHECKING, Protocol, TypeVar
 
 from rrmctl.commands import rrmctl
 from rrmctl.errors import UserError
-from rrmctl.running.lifeline import Leave, Pipe, StopRequest, say
+from rrmctl.running.config_file import MissingFileError, load_config
 from rrmctl.running.monitor import RunMonitor
-from rrmctl.running.runfile import MissingFileError, load_config
-from rrmctl.store import atomic, provenance
+from rrmctl.running.parent_link import Leave, Pipe, StopRequest, say
+from rrmctl.store import files, provenance
 from rrmctl.store.layout import Layout, RunFolder
 from rrmctl.store.lease import Lease, LeaseLostError
 from rrmctl.store.owner import Beat
 from rrmctl.store.reader import read_config
-from rrmctl.store.records import ErrorKind, RunError, State, Status, read_status, write_status
 from rrmctl.store.schema import IDENTITY
+from rrmctl.store.status import ErrorKind, RunError, RunState, Status, read_status, write_status
 from rrmctl.store.writer import CurveWriter
 from rrmctl.streams import attend
 
@@ -56,7 +56,7 @@ class WorkerExit(IntEnum):
     LOCKED = 76  #: another process owns the run
 
 
-class Trainer(Protocol):
+class Trainable(Protocol):
     """What the worker needs of `rrm.training.jobs`."""
 
     def perform(self, config: JobConfig, folder: Path, monitor: Monitor, results: Mapping[str, Path]) -> bool:
@@ -66,7 +66,7 @@ class Trainer(Protocol):
         """Which environment this is."""
 
 
-def main(argv: Sequence[str] | None = None, trainer: Trainer | None = None) -> WorkerExit:
+def main(argv: Sequence[str] | None = None, trainer: Trainable | None = None) -> WorkerExit:
     """Take up one run; `trainer` stands in for `rrm.training.jobs`."""
     given = _arguments(argv)
     folder = Layout(given.results).run(given.run)
@@ -75,7 +75,7 @@ def main(argv: Sequence[str] | None = None, trainer: Trainer | None = None) -> W
         try:
             read_config(folder)
             with stop.at_once():
-                lease = Lease.take(folder, patience_s=atomic.PATIENCE_S, stale=given.take_over, waiting=pipe.wait)
+                lease = Lease.take(folder, patience_s=files.PATIENCE_S, stale=given.take_over, waiting=pipe.wait)
         except Leave:
             return WorkerExit.STOPPED
         except UserError as error:
@@ -83,7 +83,9 @@ def main(argv: Sequence[str] | None = None, trainer: Trainer | None = None) -> W
         return WorkerExit.LOCKED if lease is None else _own(lease, given, pipe, stop, trainer)
 
 
-def _own(lease: Lease, given: argparse.Namespace, pipe: Pipe, stop: StopRequest, trainer: Trainer | None) -> WorkerExit:
+def _own(
+    lease: Lease, given: argparse.Namespace, pipe: Pipe, stop: StopRequest, trainer: Trainable | None
+) -> WorkerExit:
     try:
         return _attempt(lease, given, pipe, stop, trainer)
     except LeaseLostError as error:
@@ -119,14 +121,14 @@ def _beat(text: str) -> Beat:
 
 
 def _attempt(
-    lease: Lease, given: argparse.Namespace, pipe: Pipe, stop: StopRequest, trainer: Trainer | None
+    lease: Lease, given: argparse.Namespace, pipe: Pipe, stop: StopRequest, trainer: Trainable | None
 ) -> WorkerExit:
     folder = lease.folder
     with lease.writing():
-        atomic.remove_leftovers(folder.path)
+        files.remove_leftovers(folder.path)
         before = _healed(folder.status, pipe, lambda: read_status(folder))
         fresh = given.fresh is not None and before.attempt <= given.fresh
-        if before.state is State.DONE and not fresh:
+        if before.state is RunState.DONE and not fresh:
             return WorkerExit.DONE
         status = _take_up(folder, before, fresh=fresh)
     say(f"--- attempt {status.attempt}, process {os.getpid()}, {time.strftime('%Y-%m-%d %H:%M:%S')}")
@@ -149,17 +151,17 @@ def _attempt(
                     pipe.note(f"differs from the attempt before: {change}")
     except Leave:
         with lease.writing():
-            write_status(folder, dataclasses.replace(status, state=State.INTERRUPTED, heartbeat=time.time()))
-        say(f"--- {State.INTERRUPTED} before training began")
+            write_status(folder, dataclasses.replace(status, state=RunState.INTERRUPTED, heartbeat=time.time()))
+        say(f"--- {RunState.INTERRUPTED} before training began")
         return WorkerExit.STOPPED
     monitor = RunMonitor(lease, status, curve, pipe, stop)
     if not finished:
         assert trainer is not None
         results = {run: Layout(given.results).run(run).path for run in config.requires}
         if stop.requested or not trainer.perform(config, folder.path, monitor, results):
-            monitor.close(State.INTERRUPTED)
+            monitor.close(RunState.INTERRUPTED)
             return WorkerExit.STOPPED
-    monitor.close(State.DONE)
+    monitor.close(RunState.DONE)
     return WorkerExit.DONE
 
 
@@ -176,10 +178,10 @@ def _healed(path: Path, pipe: Pipe, read: Callable[[], _T]) -> _T:
     """What `read` makes of a file. A damaged one is set aside: other files of the run tell the same."""
     try:
         return read()
-    except atomic.DamagedError as error:
+    except files.DamagedError as error:
         if not path.exists():
             raise
-        aside = atomic.set_aside(path, "corrupt")
+        aside = files.set_aside(path, "corrupt")
         pipe.note(f"{error}; set aside as {aside.name}")
         return read()
 
@@ -191,7 +193,7 @@ def _take_up(folder: RunFolder, before: Status, *, fresh: bool) -> Status:
     """
     status = dataclasses.replace(
         before,
-        state=State.RUNNING,
+        state=RunState.RUNNING,
         attempt=before.attempt + 1,
         pid=os.getpid(),
         host=socket.gethostname(),
@@ -215,7 +217,7 @@ def _take_up(folder: RunFolder, before: Status, *, fresh: bool) -> Status:
     return status
 
 
-def _library(threads: int) -> Trainer:
+def _library(threads: int) -> Trainable:
     """The real trainer; torch's threads are set before it computes anything."""
     import torch
 
@@ -235,8 +237,8 @@ def _report(folder: RunFolder, error: Exception, pipe: Pipe) -> tuple[WorkerExit
 
 def _record_failure(lease: Lease, reason: RunError) -> None:
     # What may not happen again is not the run's end: whether it is tried again, its parent or the next one decides.
-    ends = {ErrorKind.REFUSED: State.FAILED, ErrorKind.WAITING: State.WAITING}
-    state = ends.get(reason.kind, State.INTERRUPTED)
+    ends = {ErrorKind.REFUSED: RunState.FAILED, ErrorKind.WAITING: RunState.WAITING}
+    state = ends.get(reason.kind, RunState.INTERRUPTED)
     try:
         with lease.writing():
             status = read_status(lease.folder)
@@ -248,10 +250,10 @@ def _record_failure(lease: Lease, reason: RunError) -> None:
 def _reason(folder: RunFolder, error: Exception) -> tuple[WorkerExit, RunError]:
     from rrm.errors import MissingResultError, RrmError, WaitingError
 
-    if isinstance(error, OSError) and error.errno in atomic.STORAGE_ERRNOS:
-        error = atomic.storage_error(Path(error.filename or folder.path), error, "read or write")
+    if isinstance(error, OSError) and error.errno in files.STORAGE_ERRNOS:
+        error = files.storage_error(Path(error.filename or folder.path), error, "read or write")
     name = type(error).__name__
-    if isinstance(error, atomic.StorageError):
+    if isinstance(error, files.StorageError):
         message = f"{error} ({error.todo}, then `{rrmctl('resume', results=folder.results)}` goes on)"
         return WorkerExit.STORAGE, RunError(kind=ErrorKind.STORAGE, type=name, message=message)
     if isinstance(error, WaitingError):
@@ -259,7 +261,7 @@ def _reason(folder: RunFolder, error: Exception) -> tuple[WorkerExit, RunError]:
     if isinstance(error, MissingFileError):
         return WorkerExit.MISSING, RunError(kind=ErrorKind.MISSING, type=name, message=_told(error))
     if isinstance(error, UserError | RrmError):
-        others = isinstance(error, atomic.DamagedError | MissingResultError)
+        others = isinstance(error, files.DamagedError | MissingResultError)
         kind = ErrorKind.DAMAGED if others else ErrorKind.REFUSED
         return WorkerExit.REFUSED, RunError(kind=kind, type=name, message=_told(error))
     return WorkerExit.CRASHED, RunError(kind=ErrorKind.CRASHED, type=name, message=str(error))

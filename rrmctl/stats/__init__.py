@@ -14,8 +14,8 @@ from rrmctl.stats.bootstrap import (
 from rrmctl.stats.compare import difference, improvement, probability_of_improvement
 from rrmctl.stats.curves import CommonStep, area_under_curve, common_step
 from rrmctl.stats.outlook import Outlook, outlook
-from rrmctl.stats.profiles import performance_profile
-from rrmctl.stats.sequential import Comparison, Decision, Design, Verdict, sequential_test
+from rrmctl.stats.performance import performance_profile
+from rrmctl.stats.sequential import Comparison, Decision, Design, Standing, sequential_test
 
 __all__ = [
     "MIN_RUNS",
@@ -29,7 +29,7 @@ __all__ = [
     "Iqm",
     "IqmKind",
     "Outlook",
-    "Verdict",
+    "Standing",
     "area_under_curve",
     "bootstrap",
     "common_step",

@@ -14,7 +14,7 @@ import numpy as np
 
 from rrmctl.stats.aggregate import Floats
 from rrmctl.stats.bootstrap import interval_possible
-from rrmctl.stats.sequential import Comparison, Design, Verdict, sequential_test
+from rrmctl.stats.sequential import Comparison, Design, Standing, sequential_test
 
 FUTURES = 100
 #: Sequences of splits: so many of them lie beyond the boundaries by the last look, but no more than these in all.
@@ -31,7 +31,7 @@ class Outlook:
 
 def outlook(
     comparison: Comparison,
-    verdict: Verdict,
+    verdict: Standing,
     design: Design,
     *,
     rng: np.random.Generator,

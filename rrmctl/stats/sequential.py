@@ -70,7 +70,7 @@ class Comparison:
 
 
 @dataclass(frozen=True)
-class Verdict:
+class Standing:
     """What is known of one comparison."""
 
     decision: Decision
@@ -85,7 +85,7 @@ class Verdict:
         return self.decision in ("larger", "smaller")
 
 
-def sequential_test(comparisons: Sequence[Comparison], design: Design) -> list[Verdict]:
+def sequential_test(comparisons: Sequence[Comparison], design: Design) -> list[Standing]:
     """Look after every full group of seeds.
 
     The same scores give the same verdicts, and as long as all open comparisons have the same groups, further ones
@@ -100,7 +100,7 @@ def sequential_test(comparisons: Sequence[Comparison], design: Design) -> list[V
         ValueError: scores that are not finite, or more than one a seed.
     """
     tested = [_Tested(each, design) for each in comparisons]
-    verdicts: dict[int, Verdict] = {}
+    verdicts: dict[int, Standing] = {}
     for looks in range(1, design.looks + 1):
         left = [at for at, each in enumerate(tested) if at not in verdicts and each.looks >= looks]
         for _ in comparisons:  # one that is decided leaves the others a larger share of the level
@@ -159,13 +159,13 @@ class _Tested:
             self._crossings[level] = int(first[0])
         return self._crossings[level]
 
-    def separated(self, crossing: int, looks: int) -> Verdict:
+    def separated(self, crossing: int, looks: int) -> Standing:
         """The verdict after these looks, in favour of the one that was better where its boundary was crossed."""
         return self.verdict("larger" if self._difference(crossing) > 0.0 else "smaller", looks)
 
-    def verdict(self, decision: Decision, looks: int) -> Verdict:
+    def verdict(self, decision: Decision, looks: int) -> Standing:
         """The verdict after these looks."""
-        return Verdict(decision, looks, self._difference(looks))
+        return Standing(decision, looks, self._difference(looks))
 
     def _difference(self, looks: int) -> float:
         seeds = looks * self._design.group

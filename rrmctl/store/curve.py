@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rrmctl.commands import rrmctl
-from rrmctl.store import shape
-from rrmctl.store.atomic import DamagedError
+from rrmctl.store import validation
+from rrmctl.store.files import DamagedError
 from rrmctl.store.layout import RunFolder
 from rrmctl.store.schema import CHECKSUM_KEY, IDENTITY, MEASURED, VERSION_KEY, curve_schema
 
@@ -54,7 +54,7 @@ def decode(data: bytes, path: Path) -> pa.Table:
         found = _checksum(table)
     except (pa.ArrowException, OSError, ValueError, TypeError) as error:  # TypeError: a text that is missing
         raise DamagedError(f"{path} is damaged: {error}", again) from error
-    shape.check_version({"schema_version": version}, path, again)
+    validation.check_version({"schema_version": version}, path, again)
     schema = curve_schema(name for name in table.schema.names if name not in IDENTITY | MEASURED)
     if sorted(table.schema, key=_name) != sorted(schema, key=_name):
         raise DamagedError(f"{path} is damaged: its columns are not those of a curve", again)

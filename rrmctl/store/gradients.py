@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rrm.files import read_bounded
-from rrmctl.store.atomic import DamagedError, unreadable
 from rrmctl.store.curve import LARGEST, rerunning
+from rrmctl.store.files import DamagedError, unreadable
 from rrmctl.store.frame import NUMBER, TEXT, WHOLE, frame, typed
 from rrmctl.store.layout import RunFolder
 from rrmctl.store.reader import new_results

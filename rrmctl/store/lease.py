@@ -27,7 +27,7 @@ from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager
 
 from rrm.files import replace
-from rrmctl.store.atomic import StorageError, is_open_at, storage_error, try_lock
+from rrmctl.store.files import StorageError, is_open_at, storage_error, try_lock
 from rrmctl.store.layout import RunFolder
 from rrmctl.store.owner import Beat, lock_free, read_beat
 

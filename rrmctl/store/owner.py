@@ -17,9 +17,9 @@ from pathlib import Path
 from typing import Any
 
 from rrmctl.errors import UserError
-from rrmctl.store.atomic import is_locked, read_json, try_lock
+from rrmctl.store.files import is_locked, read_json, try_lock
 from rrmctl.store.layout import RunFolder
-from rrmctl.waking import WakingTime
+from rrmctl.suspend_clock import WakingTime
 
 #: How long others watch a count that does not change before they take the run over, seconds.
 LEASE_S = 30.0

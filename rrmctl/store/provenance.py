@@ -16,9 +16,9 @@ from typing import Any
 
 import rrm
 from rrmctl.errors import UserError
-from rrmctl.machine import cpu_model
-from rrmctl.store import shape
-from rrmctl.store.atomic import DamagedError, read_json, write_json
+from rrmctl.hardware import cpu_model
+from rrmctl.store import validation
+from rrmctl.store.files import DamagedError, read_json, write_json
 from rrmctl.store.layout import RunFolder
 from rrmctl.store.schema import SCHEMA_VERSION
 
@@ -80,7 +80,7 @@ def read_provenance(folder: RunFolder) -> dict[str, Any] | None:
     known = read_json(folder.provenance)
     if known is not None:
         hint = "move it away; what the run ran with until now is then unknown"
-        shape.check_version(dict(known), folder.provenance, hint)
+        validation.check_version(dict(known), folder.provenance, hint)
         try:
             _check(known)
         except (AttributeError, TypeError, ValueError, KeyError) as problem:

@@ -13,14 +13,14 @@ from rrm.errors import nearest
 from rrm.files import open_regular, place, read_bounded
 from rrmctl.commands import rrmctl
 from rrmctl.errors import UserError
-from rrmctl.store import shape
-from rrmctl.store.atomic import DamagedError, StorageError, read_json, unreadable
+from rrmctl.store import validation
 from rrmctl.store.curve import LARGEST, decode, rerunning
+from rrmctl.store.files import DamagedError, StorageError, read_json, unreadable
 from rrmctl.store.frame import TEXT, WHOLE, frame, typed
 from rrmctl.store.layout import Layout, RunFolder
 from rrmctl.store.owner import is_owned
-from rrmctl.store.records import ErrorKind, RunError, State, Status, read_status
 from rrmctl.store.schema import IDENTITY, LABELS, curve_schema
+from rrmctl.store.status import ErrorKind, RunError, RunState, Status, read_status
 from rrmctl.store.sweeps import JobRecord, Requiring, SweepRecord, read_sweeps
 
 if TYPE_CHECKING:
@@ -38,11 +38,11 @@ def run_status(folder: RunFolder) -> Status:
     """
     try:
         status = read_status(folder)
-        if status.state is State.RUNNING and not is_owned(folder):
-            return dataclasses.replace(status, state=State.INTERRUPTED)
+        if status.state is RunState.RUNNING and not is_owned(folder):
+            return dataclasses.replace(status, state=RunState.INTERRUPTED)
     except (DamagedError, StorageError) as error:
         problem = RunError(kind=ErrorKind.STORAGE, type=type(error).__name__, message=str(error))
-        return Status(state=State.UNREADABLE, error=problem)
+        return Status(state=RunState.UNREADABLE, error=problem)
     return status
 
 
@@ -61,15 +61,17 @@ def statuses(layout: Layout, jobs: Iterable[Requiring]) -> dict[str, Status]:
             needed = (each for each in requires[run] if each in found and each not in above)
             causes = ((each, look(each, above | {run})) for each in needed)
             for each, cause in causes:
-                if cause.state in (State.FAILED, State.BLOCKED):
-                    found[run] = dataclasses.replace(status, state=State.BLOCKED, error=blocked_by(each, cause.error))
+                if cause.state in (RunState.FAILED, RunState.BLOCKED):
+                    found[run] = dataclasses.replace(
+                        status, state=RunState.BLOCKED, error=blocked_by(each, cause.error)
+                    )
                     break
         return found[run]
 
     return {run: look(run) for run in requires}
 
 
-_WAITING = (State.QUEUED, State.INTERRUPTED, State.WAITING)
+_WAITING = (RunState.QUEUED, RunState.INTERRUPTED, RunState.WAITING)
 
 
 def blocked_by(run: str, error: RunError | None) -> RunError:
@@ -93,7 +95,7 @@ def read_config(folder: RunFolder) -> dict[str, Any]:
         raise DamagedError(str(error), CONFIG_HINT) from error
     if config is None:
         raise DamagedError(f"{folder.config} is missing", CONFIG_HINT)
-    shape.check(config, _CONFIG, folder.config, CONFIG_HINT)
+    validation.check(config, _CONFIG, folder.config, CONFIG_HINT)
     return config
 
 
@@ -101,8 +103,8 @@ def read_config(folder: RunFolder) -> dict[str, Any]:
 CONFIG_HINT = "run its experiment again: `rrmctl run NAME` writes it anew"
 
 #: What the program itself reads; the rest is checked when the run starts.
-_CONFIG = dict.fromkeys(("id", "cell", "profile", "task", "method", "precision"), shape.TEXT) | dict.fromkeys(
-    ("config_version", "seed", "steps", "threads"), shape.WHOLE
+_CONFIG = dict.fromkeys(("id", "cell", "profile", "task", "method", "precision"), validation.TEXT) | dict.fromkeys(
+    ("config_version", "seed", "steps", "threads"), validation.WHOLE
 )
 
 
@@ -191,7 +193,7 @@ def planned(results: str | Path = "results", experiment: str | None = None, *, n
         needed: instead of the jobs those runs that are there because jobs need them: experts, demonstrations.
 
     Returns:
-        The columns of `PLANNED`: `overrides` is JSON, `state` one of `rrmctl.store.records.State`, `step` the last
+        The columns of `PLANNED`: `overrides` is JSON, `state` one of `rrmctl.store.status.RunState`, `step` the last
         known of a run and `steps` its length, `error` empty where there was none. `seed`, `attempt`, `step` and
         `steps` are int64, the others text (`rrmctl.store.frame`).
 

@@ -8,7 +8,7 @@ from collections.abc import Iterable, Mapping
 
 from rrmctl.store.layout import Layout
 from rrmctl.store.reader import statuses
-from rrmctl.store.records import State, Status
+from rrmctl.store.status import RunState, Status
 from rrmctl.store.sweeps import JobRecord, readable_sweeps
 
 
@@ -17,7 +17,7 @@ def speeds(jobs: Iterable[JobRecord], states: Mapping[str, Status]) -> dict[tupl
     seen: defaultdict[tuple[str, str], list[float]] = defaultdict(list)
     for job in jobs:
         status = states[job.id]
-        took = status.wall_s if status.state is State.DONE else None
+        took = status.wall_s if status.state is RunState.DONE else None
         if speed := status.step / took if took else status.steps_per_s:
             seen[job.task, job.method].append(speed)
     return {key: statistics.median(values) for key, values in seen.items()}

@@ -11,8 +11,8 @@ from typing import Any, Protocol, Self
 
 from rrmctl.errors import UserError
 from rrmctl.labels import Label
-from rrmctl.store import shape
-from rrmctl.store.atomic import DamagedError, StorageError, locked, read_json, remove_leftovers, set_aside, write_json
+from rrmctl.store import validation
+from rrmctl.store.files import DamagedError, StorageError, locked, read_json, remove_leftovers, set_aside, write_json
 from rrmctl.store.layout import Layout
 from rrmctl.store.schema import SCHEMA_VERSION
 
@@ -96,8 +96,8 @@ class SweepRecord:
             DamagedError: it lacks or mistakes a field, or is another sweep's: files are named after what it says.
         """
         content, hint = dict(value), _sweep_hint(path)
-        shape.check_version(content, path, hint)
-        shape.check(content, _SWEEP, path, hint)
+        validation.check_version(content, path, hint)
+        validation.check(content, _SWEEP, path, hint)
         if (content["experiment"], content["variant"]) != (path.parent.name, path.stem):
             told = f"{content['experiment']!r} ({content['variant']!r})"
             raise DamagedError(f"{path} is damaged: it is the record of {told}", hint)
@@ -106,9 +106,9 @@ class SweepRecord:
             _check_order((*named, *needed), path)
             jobs, superseded = _told_apart(named)
             priors = content.pop("priors", [])
-            shape.check({"priors": priors}, {"priors": shape.LIST}, path, hint)
+            validation.check({"priors": priors}, {"priors": validation.LIST}, path, hint)
             texts = {f"priors[{number}]": prior for number, prior in enumerate(priors)}
-            shape.check(texts, dict.fromkeys(texts, shape.TEXT), path, hint)
+            validation.check(texts, dict.fromkeys(texts, validation.TEXT), path, hint)
             return cls(**content, jobs=jobs, superseded=superseded, needed=needed, priors=tuple(priors))
         except TypeError as problem:  # a field nobody knows
             raise DamagedError(f"{path} is damaged: {problem}", hint) from problem
@@ -144,31 +144,31 @@ def required(jobs: Iterable[Requiring], known: Iterable[Requiring]) -> set[str]:
 
 
 _SWEEP = {
-    **dict.fromkeys(("experiment", "variant", "profile"), shape.TEXT),
-    "overrides": shape.OBJECT,
-    "jobs": shape.LIST,
+    **dict.fromkeys(("experiment", "variant", "profile"), validation.TEXT),
+    "overrides": validation.OBJECT,
+    "jobs": validation.LIST,
 }
 
-_JOB = dict.fromkeys(("id", "cell", "task", "method", "teacher", "feedback"), shape.TEXT) | dict.fromkeys(
-    ("seed", "steps"), shape.WHOLE
+_JOB = dict.fromkeys(("id", "cell", "task", "method", "teacher", "feedback"), validation.TEXT) | dict.fromkeys(
+    ("seed", "steps"), validation.WHOLE
 )
 
 
 def _jobs(values: Any, name: str, path: Path) -> tuple[JobRecord, ...]:
-    shape.check({name: values}, {name: shape.LIST}, path, _sweep_hint(path))
+    validation.check({name: values}, {name: validation.LIST}, path, _sweep_hint(path))
     return tuple(_job(value, f"{name}[{number}]", path) for number, value in enumerate(values))
 
 
 def _job(value: Any, where: str, path: Path) -> JobRecord:
     hint = _sweep_hint(path)
-    shape.check({where: value}, {where: shape.OBJECT}, path, hint)
-    shape.check(value, _JOB, path, hint, f"{where}.")
-    shape.check_run_id(value["id"], path, hint, f"{where}.id")
+    validation.check({where: value}, {where: validation.OBJECT}, path, hint)
+    validation.check(value, _JOB, path, hint, f"{where}.")
+    validation.check_run_id(value["id"], path, hint, f"{where}.id")
     requires = value.get("requires", [])
-    shape.check({f"{where}.requires": requires}, {f"{where}.requires": shape.LIST}, path, hint)
+    validation.check({f"{where}.requires": requires}, {f"{where}.requires": validation.LIST}, path, hint)
     for run in requires:
-        shape.check({f"{where}.requires": run}, {f"{where}.requires": shape.TEXT}, path, hint)
-        shape.check_run_id(run, path, hint, f"{where}.requires")
+        validation.check({f"{where}.requires": run}, {f"{where}.requires": validation.TEXT}, path, hint)
+        validation.check_run_id(run, path, hint, f"{where}.requires")
     return JobRecord(**{**value, "requires": tuple(requires)})
 
 

@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from rrmctl.errors import UserError
-from rrmctl.store import shape
-from rrmctl.store.atomic import DamagedError, locked, read_json, remove_leftovers, write_json
+from rrmctl.store import validation
+from rrmctl.store.files import DamagedError, locked, read_json, remove_leftovers, write_json
 from rrmctl.store.layout import Layout
 from rrmctl.store.schema import SCHEMA_VERSION
 
@@ -43,7 +43,7 @@ class Trial:
         return {"schema_version": SCHEMA_VERSION, **asdict(self), "pairs": pairs}
 
 
-_TRIAL = {**dict.fromkeys(("group", "looks"), shape.WHOLE), "pairs": shape.LIST}
+_TRIAL = {**dict.fromkeys(("group", "looks"), validation.WHOLE), "pairs": validation.LIST}
 
 
 def read_trial(layout: Layout, experiment: str, variant: str) -> Trial | None:
@@ -86,8 +86,8 @@ def _rules(trial: Trial) -> str:
 
 def _from_json(content: dict[str, Any], path: Path) -> Trial:
     hint = "move it away to begin another test, whose error rate then no longer counts the looks of this one"
-    shape.check_version(content, path, hint)
-    shape.check(content, _TRIAL, path, hint)
+    validation.check_version(content, path, hint)
+    validation.check(content, _TRIAL, path, hint)
     try:
         pairs = tuple(Pairing(**pair) for pair in content["pairs"])
         return Trial(group=content["group"], looks=content["looks"], alpha=float(content["alpha"]), pairs=pairs)

@@ -9,7 +9,7 @@ import shutil
 from collections.abc import Iterable, Iterator
 
 from rrm.files import sync_folder
-from rrmctl.store.atomic import PATIENCE_S, locked, storage_error, write_json
+from rrmctl.store.files import PATIENCE_S, locked, storage_error, write_json
 from rrmctl.store.layout import Layout, RunFolder
 from rrmctl.store.owner import lock_free
 from rrmctl.store.sweeps import read_sweeps

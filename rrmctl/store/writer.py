@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from rrmctl.store.atomic import write_table
 from rrmctl.store.curve import SETTINGS, table_of
+from rrmctl.store.files import write_table
 from rrmctl.store.layout import RunFolder
 from rrmctl.store.reader import read_curve
 from rrmctl.store.schema import IDENTITY, MEASURED

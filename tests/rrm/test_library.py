@@ -50,9 +50,9 @@ def test_a_run_is_trained_loaded_and_used_elsewhere(shown):
 def test_what_is_trained_here_is_what_rrmctl_trains(shown, tmp_path):
     """The same configuration gives the same networks in a folder of `rrmctl`, and `load` takes that one too."""
     from rrmctl.running import worker
-    from rrmctl.running.runfile import config_content
+    from rrmctl.running.config_file import config_content
     from rrmctl.store.layout import Layout
-    from rrmctl.store.records import record_config
+    from rrmctl.store.status import record_config
 
     names, folder = shown
     there = Layout(tmp_path).run(names["config"].identity)

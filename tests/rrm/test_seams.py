@@ -11,10 +11,10 @@ from rrm.envs import TASKS, Task
 from rrm.envs.base import TaskEnv
 from rrm.sources.base import RewardSource
 from rrm.training.build import assemble
-from rrm.training.config import RunConfig
 from rrm.training.fingerprint import fingerprint
 from rrm.training.jobs import train
 from rrm.training.phases import Phase
+from rrm.training.run_config import RunConfig
 from tests.rrm.training.conftest import Recorder
 
 

@@ -16,9 +16,9 @@ from pathlib import Path
 
 from rrmctl.errors import Exit
 from rrmctl.running.local import LocalExecutor
-from rrmctl.running.pool import Assignment, Pool
+from rrmctl.running.supervisor import Assignment, Supervisor
 from rrmctl.store.reader import run_status
-from rrmctl.store.records import State, read_status
+from rrmctl.store.status import RunState, read_status
 from tests.rrmctl.running.standin import COMMAND, STEP_S, expected, prepare
 from tests.rrmctl.running.test_pool import Record, rows
 
@@ -50,7 +50,7 @@ class Storm:
         """A worker, after a second."""
         time.sleep(1.0)
         states = [run_status(self.layout.run(job.id)) for job in self.assigned]
-        if pids := [each.pid for each in states if each.state is State.RUNNING and each.pid is not None]:
+        if pids := [each.pid for each in states if each.state is RunState.RUNNING and each.pid is not None]:
             with contextlib.suppress(ProcessLookupError):
                 os.kill(self._rng.choice(pids), signal.SIGKILL)
                 self.killed += 1
@@ -58,7 +58,7 @@ class Storm:
     def survive(self, *readers: Callable[[], object]) -> None:
         """Run it under fire: all end, none twice, every row is there, and no reader sees an error."""
         watcher = Record()
-        pool = Pool(
+        pool = Supervisor(
             layout=self.layout, assignments=self.assigned, slots=WORKERS, watcher=watcher,
             executor=LocalExecutor(layout=self.layout, command=COMMAND),
         )  # fmt: skip

@@ -17,7 +17,7 @@ from rrm.errors import ConfigError, RefusedCodeError
 from rrm.files import place
 from rrm.priors.language.record import Record, parse_record, read_source
 from rrm.priors.language.translate import ENTRY, Admitted, admit
-from rrm.priors.language.words import OUTCOMES, TASK_FEATURES
+from rrm.priors.language.vocabulary import OUTCOMES, TASK_FEATURES
 from rrm.registry import LANGUAGE
 
 if TYPE_CHECKING:

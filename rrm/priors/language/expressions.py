@@ -10,7 +10,7 @@ from collections.abc import Iterable
 from functools import singledispatchmethod
 
 from rrm.priors.language.scope import Scope
-from rrm.priors.language.words import ACCESSORS, CONSTANTS, FUNCTIONS, OPERATORS, VALUE
+from rrm.priors.language.vocabulary import ACCESSORS, CONSTANTS, FUNCTIONS, OPERATORS, VALUE
 
 _MOST_ITEMS = 32  # of a tuple, list or call
 _LARGEST = 1e9  # number written out

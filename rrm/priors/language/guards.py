@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from rrm.priors.language.words import CONSTANTS, PLAIN_MATH, PLAIN_NUMPY, VALUE
+from rrm.priors.language.vocabulary import CONSTANTS, PLAIN_MATH, PLAIN_NUMPY, VALUE
 from rrm.priors.step import Scene
 
 #: Numbers of an array, at the most, and its axes; the longest observation has 78 entries.

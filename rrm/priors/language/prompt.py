@@ -9,7 +9,7 @@ from __future__ import annotations
 from rrm.envs.tasks import Task
 from rrm.errors import ConfigError
 from rrm.priors.language.source import source_without_reward
-from rrm.priors.language.words import OUTCOMES, TASK_FEATURES
+from rrm.priors.language.vocabulary import OUTCOMES, TASK_FEATURES
 from rrm.priors.step import PriorStep
 
 _METAWORLD = "Here is a Meta-World (built on MuJoCo) task: {}. The robot arm Sawyer is required to {}."

@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from rrm.envs.tasks import Task, make
 from rrm.errors import PriorError
-from rrm.priors.evaluate import evaluate_prior
+from rrm.priors.calling import evaluate_prior
 from rrm.priors.step import PriorStep, Scene
 from rrm.seeding import Streams
 from rrm.types import Floats

@@ -9,13 +9,13 @@ from contextlib import contextmanager
 from typing import Literal
 
 from rrm.errors import RefusedCodeError
-from rrm.priors.language.words import FUNCTIONS
+from rrm.priors.language.vocabulary import FUNCTIONS
 
 MOST_WORK = 15_000  #: statements, expressions and bindings that one call takes, counted through loops and calls
 _MOST_FUNCTIONS = 32  # each calls those above it, so that many calls are open at once
 
 #: Only a `counter` is sure to be an integer; nothing else can be bound to its name.
-Kind = Literal["word", "module", "constant", "function", "variable", "counter"]
+ValueKind = Literal["word", "module", "constant", "function", "variable", "counter"]
 _VALUES = ("constant", "variable", "counter")
 
 
@@ -30,7 +30,7 @@ class Scope:
         self.work: dict[str, int] = {}  #: of one call, for each function so far
         self.inside = False  #: a function
         self._text = text
-        self._names: ChainMap[str, Kind] = ChainMap(dict.fromkeys((*FUNCTIONS, "range"), "word"))
+        self._names: ChainMap[str, ValueKind] = ChainMap(dict.fromkeys((*FUNCTIONS, "range"), "word"))
         self._spent, self._turns = 0, 1
 
     @contextmanager
@@ -66,7 +66,7 @@ class Scope:
         """Whether the name stands for the turns of a range loop, and so for an integer."""
         return self._names.get(name) == "counter"
 
-    def bind(self, name: str, kind: Kind, node: ast.AST) -> None:
+    def bind(self, name: str, kind: ValueKind, node: ast.AST) -> None:
         """Give a name to something: once in a file; in a function again to the same kind, also to hide a constant."""
         if name.startswith("__"):
             raise self.refused(node, f"{name} begins with two underscores", short=True)

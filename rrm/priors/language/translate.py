@@ -19,7 +19,7 @@ from typing import Any
 
 from rrm.errors import RefusedCodeError
 from rrm.priors.language.expressions import Expressions
-from rrm.priors.language.scope import Kind, Scope
+from rrm.priors.language.scope import Scope, ValueKind
 
 ENTRY = "reward"  #: the function that is the prior
 
@@ -211,7 +211,7 @@ class _Statements:
             body = self._block(node.body)
         return ast.For(target, ast.Tuple(items, ast.Load()), body, [])
 
-    def _turns(self, node: ast.For) -> tuple[list[ast.expr], Kind]:
+    def _turns(self, node: ast.For) -> tuple[list[ast.expr], ValueKind]:
         """What the loop's variable stands for in each turn, written out, and the kind of name that it is."""
         match node.iter:
             case ast.Tuple(elts=items) | ast.List(elts=items):
@@ -229,7 +229,7 @@ class _Statements:
             raise self._scope.refused(node, "the bounds of range are numbers")
         return node.value
 
-    def _target(self, node: ast.expr, kind: Kind = "variable") -> ast.expr:
+    def _target(self, node: ast.expr, kind: ValueKind = "variable") -> ast.expr:
         match node:
             case ast.Name():
                 self._scope.spend(1, node)

@@ -7,7 +7,7 @@ A module has
   leaves the same: nothing is there twice.
 """
 
-from rrmctl.reports.shelf import Entry, entries
+from rrmctl.reports.plugins import Entry, entries
 
 
 def formats() -> dict[str, Entry]:

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import rrm
 from rrmctl.export.bundle import RUN_COLUMNS, Bundle, Field, described
-from rrmctl.store.atomic import write_bytes
+from rrmctl.store.files import write_bytes
 from rrmctl.store.inventory import table
 from rrmctl.store.schema import SCHEMA_VERSION
 

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 
 from rrmctl.export.bundle import Bundle
 from rrmctl.export.extras import require
-from rrmctl.store.atomic import write_bytes
+from rrmctl.store.files import write_bytes
 from rrmctl.store.inventory import Run, settings
 
 if TYPE_CHECKING:

@@ -21,11 +21,11 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from rrm.process import environment
+from rrm.environ import environment
 from rrmctl.errors import UserError
 from rrmctl.export.bundle import Bundle
 from rrmctl.export.extras import require
-from rrmctl.store.atomic import read_json, storage_error, write_json
+from rrmctl.store.files import read_json, storage_error, write_json
 
 #: In each exported run's folder: marks it as ours, and says what it holds.
 _MARK = "rrmctl.json"

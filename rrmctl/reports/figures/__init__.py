@@ -7,7 +7,7 @@ A module has
 - `draw(section, settings) -> Figure`, a matplotlib figure with a canvas of its own.
 """
 
-from rrmctl.reports.shelf import Entry, entries
+from rrmctl.reports.plugins import Entry, entries
 
 
 def figures() -> dict[str, Entry]:

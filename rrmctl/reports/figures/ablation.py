@@ -8,13 +8,13 @@ from __future__ import annotations
 import itertools
 from typing import TYPE_CHECKING
 
-from rrmctl.reports.marks import contents, curves_cell, iqm_notes, methods, panel_name
+from rrmctl.reports.captions import title
+from rrmctl.reports.figure_layout import cells_sheet
 from rrmctl.reports.notebook import FromFrames, nothing
+from rrmctl.reports.plot_elements import contents, curves_cell, iqm_notes, methods, panel_name
 from rrmctl.reports.series import Panel, Section, Series
-from rrmctl.reports.settings import DEFAULTS, Settings
-from rrmctl.reports.sheet import cells_sheet
+from rrmctl.reports.statistics import DEFAULTS, Statistics
 from rrmctl.reports.styles import ALONE, parts
-from rrmctl.reports.words import title
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -25,7 +25,7 @@ def suits(section: Section) -> bool:
     return any(pairs(panel) for panel in section.panels())
 
 
-def draw(section: Section, settings: Settings = DEFAULTS) -> Figure:
+def draw(section: Section, settings: Statistics = DEFAULTS) -> Figure:
     """A panel for each task and prior: the residual model, the prior alone, and what stands on no prior.
 
     Raises:

@@ -12,14 +12,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from rrmctl.labels import knows
-from rrmctl.reports.marks import UNITS, contents, line, methods, score_axis, step_axis
+from rrmctl.reports.captions import title
+from rrmctl.reports.figure_layout import Shape, panel_title, shape, sheet
+from rrmctl.reports.final_scores import FinalScores, readings
 from rrmctl.reports.notebook import FromFrames, nothing
-from rrmctl.reports.readings import Reading, readings
+from rrmctl.reports.plot_elements import UNITS, contents, line, methods, score_axis, step_axis
 from rrmctl.reports.series import Floats, Panel, Section, at_steps
-from rrmctl.reports.settings import DEFAULTS, Settings
-from rrmctl.reports.sheet import Shape, panel_title, shape, sheet
+from rrmctl.reports.statistics import DEFAULTS, Statistics
 from rrmctl.reports.styles import Looks, Style
-from rrmctl.reports.words import title
 from rrmctl.stats import MIN_RUNS, iqm, mean, quartiles
 from rrmctl.stats.curves import SHARE
 
@@ -47,7 +47,7 @@ def suits(section: Section) -> bool:
     )
 
 
-def draw(section: Section, settings: Settings = DEFAULTS) -> Figure:
+def draw(section: Section, settings: Statistics = DEFAULTS) -> Figure:
     """For each task the seeds, quartiles, mean and IQM of each method at the common step, and the rule that chose it.
 
     Raises:
@@ -77,20 +77,20 @@ def draw(section: Section, settings: Settings = DEFAULTS) -> Figure:
     return figure
 
 
-def _ruled(cell: Reading) -> bool:
+def _ruled(cell: FinalScores) -> bool:
     """Whether the step was chosen by the share of seeds at 100 %."""
     return cell.read is not None and cell.score == "success"
 
 
 def _draw_row(
-    cells: Sequence[Reading],
+    cells: Sequence[FinalScores],
     rules: Sequence[Axes],
     boxes: Sequence[Axes],
     names: Sequence[str],
     looks: Looks,
     *,
     form: Shape,
-    settings: Settings,
+    settings: Statistics,
 ) -> None:
     for axes in (*rules, *boxes):
         axes.set_visible(False)
@@ -107,13 +107,13 @@ def _draw_row(
         panel_title(top, _title(cell), form.width / form.across, settings.width)
 
 
-def _title(cell: Reading) -> str:
+def _title(cell: FinalScores) -> str:
     if cell.read is None:
         return f"{cell.name}\neach at its step"
     return f"{cell.name}\nat step {cell.read.step:,}" + ("" if cell.read.reached else " (last)")
 
 
-def _draw_rule(axes: Axes, cell: Reading, looks: Looks) -> None:
+def _draw_rule(axes: Axes, cell: FinalScores, looks: Looks) -> None:
     """The share of seeds at 100 % over steps, the share that is asked for, and the step that this chooses."""
     (panel,), read = cell.panels, cell.read
     assert read is not None
@@ -131,7 +131,7 @@ def _draw_rule(axes: Axes, cell: Reading, looks: Looks) -> None:
     axes.set_visible(True)
 
 
-def _draw_boxes(axes: Axes, cell: Reading, names: Sequence[str], looks: Looks, kind: IqmKind) -> None:
+def _draw_boxes(axes: Axes, cell: FinalScores, names: Sequence[str], looks: Looks, kind: IqmKind) -> None:
     """A row for each method, the first on top; its mean stands at the right."""
     for row, method in enumerate(names):
         if method in cell.strata:
@@ -174,7 +174,7 @@ def _spread(scores: Floats) -> Floats:
     return heights
 
 
-def _notes(cells: Sequence[Reading], kind: IqmKind) -> Iterator[str]:
+def _notes(cells: Sequence[FinalScores], kind: IqmKind) -> Iterator[str]:
     yield (
         f"Points: seeds. Box: 25 to 75 % of them. Line and number: mean. Diamond: interquartile mean ({kind}). "
         "Dotted: the oracle's mean."

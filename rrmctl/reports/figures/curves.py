@@ -7,12 +7,12 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from rrmctl.reports.marks import contents, curves_cell, iqm_notes, methods, panel_name
+from rrmctl.reports.captions import title
+from rrmctl.reports.figure_layout import cells_sheet
 from rrmctl.reports.notebook import FromFrames, nothing
+from rrmctl.reports.plot_elements import contents, curves_cell, iqm_notes, methods, panel_name
 from rrmctl.reports.series import Section
-from rrmctl.reports.settings import DEFAULTS, Settings
-from rrmctl.reports.sheet import cells_sheet
-from rrmctl.reports.words import title
+from rrmctl.reports.statistics import DEFAULTS, Statistics
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -23,7 +23,7 @@ def suits(section: Section) -> bool:
     return section.contained > 0
 
 
-def draw(section: Section, settings: Settings = DEFAULTS) -> Figure:
+def draw(section: Section, settings: Statistics = DEFAULTS) -> Figure:
     """One panel for each task (and teacher and schedule), a line for each method.
 
     Raises:

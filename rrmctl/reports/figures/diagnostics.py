@@ -10,13 +10,13 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from rrmctl.labels import ORACLE
-from rrmctl.reports.marks import band, contents, iqm_notes, line, panel_name, score_axis, step_axis
+from rrmctl.reports.captions import title
+from rrmctl.reports.figure_layout import Slot, cells_sheet
 from rrmctl.reports.notebook import FromFrames, nothing
+from rrmctl.reports.plot_elements import band, contents, iqm_notes, line, panel_name, score_axis, step_axis
 from rrmctl.reports.series import Panel, Section, Series, finite
-from rrmctl.reports.settings import DEFAULTS, Settings
-from rrmctl.reports.sheet import Cell, cells_sheet
+from rrmctl.reports.statistics import DEFAULTS, Statistics
 from rrmctl.reports.styles import ALONE, Style, parts, style
-from rrmctl.reports.words import title
 from rrmctl.stats import iqm
 
 if TYPE_CHECKING:
@@ -43,7 +43,7 @@ def suits(section: Section) -> bool:
     return any(parts(each.label.method)[1] == _OPPOSITE for each in _residual(section))
 
 
-def draw(section: Section, settings: Settings = DEFAULTS) -> Figure:
+def draw(section: Section, settings: Statistics = DEFAULTS) -> Figure:
     """Three panels for each task: rewards, true reward, agreement. Without an opposite prior: of every residual model.
 
     Raises:
@@ -94,10 +94,10 @@ def _looks(colour: str) -> dict[str, Style]:
     }
 
 
-def _cells(series: Series, panel: Panel, panels: Sequence[Panel], colour: str, kind: IqmKind) -> list[Cell]:
+def _cells(series: Series, panel: Panel, panels: Sequence[Panel], colour: str, kind: IqmKind) -> list[Slot]:
     looks, name = _looks(colour), f"{panel_name(panel, panels)}\n{series.label.method}"
 
-    def cell(unit: str, columns: Sequence[str], scale: float = 1) -> Cell:
+    def cell(unit: str, columns: Sequence[str], scale: float = 1) -> Slot:
         def fill(axes: Axes) -> None:
             for place, column in enumerate(columns):
                 steps, values = finite(*series.measure(column))
@@ -108,7 +108,7 @@ def _cells(series: Series, panel: Panel, panels: Sequence[Panel], colour: str, k
                 score_axis(axes, "success")
             step_axis(axes, int(series.steps[-1]))
 
-        return Cell(name, unit, fill)
+        return Slot(name, unit, fill)
 
     return [
         cell("Reward a step", ("prior_mean", "residual_mean", "reward_mean")),

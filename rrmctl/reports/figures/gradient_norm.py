@@ -11,13 +11,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from rrmctl.reports.marks import band, contents, line, methods, panel_name, step_axis
+from rrmctl.reports.captions import title
+from rrmctl.reports.figure_layout import Slot, cells_sheet
 from rrmctl.reports.notebook import nothing, one_section
+from rrmctl.reports.plot_elements import band, contents, line, methods, panel_name, step_axis
 from rrmctl.reports.series import Floats, Section, Series, Steps
-from rrmctl.reports.settings import DEFAULTS, Settings, Width
-from rrmctl.reports.sheet import Cell, cells_sheet
+from rrmctl.reports.statistics import DEFAULTS, Statistics, Width
 from rrmctl.reports.styles import Looks
-from rrmctl.reports.words import title
 from rrmctl.stats import IqmKind, iqm
 from rrmctl.store.gradients import load_gradients
 
@@ -39,7 +39,7 @@ def suits(section: Section) -> bool:
     )
 
 
-def draw(section: Section, settings: Settings = DEFAULTS) -> Figure:
+def draw(section: Section, settings: Statistics = DEFAULTS) -> Figure:
     """A panel for each task, with the median norm in each sixtieth of the steps, before and after the change.
 
     Raises:
@@ -65,10 +65,10 @@ def gradient_norms(
     Raises:
         UserError: several variants or experiments at once, or no norms of these runs.
     """
-    return _draw(one_section(rows, jobs), gradients, Settings(kind=kind, width=width))
+    return _draw(one_section(rows, jobs), gradients, Statistics(kind=kind, width=width))
 
 
-def _draw(section: Section, gradients: pd.DataFrame, settings: Settings) -> Figure:
+def _draw(section: Section, gradients: pd.DataFrame, settings: Statistics) -> Figure:
     told = set(gradients["run"])
     panels, looks = section.panels(), section.looks()
     shown = {panel: [_only(each, told) for each in panel.present() if told.intersection(each.runs)] for panel in panels}
@@ -108,7 +108,7 @@ def _counted(section: Section, told: set[str]) -> Iterator[str]:
             yield f"No norms of {each.label}: {', '.join(lacking)}."
 
 
-def _cell(name: str, shown: Sequence[Series], looks: Looks, gradients: pd.DataFrame, kind: IqmKind) -> Cell:
+def _cell(name: str, shown: Sequence[Series], looks: Looks, gradients: pd.DataFrame, kind: IqmKind) -> Slot:
     def fill(axes: Axes) -> None:
         last = max(int(each.steps[-1]) for each in shown)
         for position, series in enumerate(shown):
@@ -125,7 +125,7 @@ def _cell(name: str, shown: Sequence[Series], looks: Looks, gradients: pd.DataFr
         axes.set_yscale("log", nonpositive="clip")
         step_axis(axes, last)
 
-    return Cell(name, "Norm of the reward's gradient", fill)
+    return Slot(name, "Norm of the reward's gradient", fill)
 
 
 def binned(gradients: pd.DataFrame, runs: Sequence[str], length: float) -> tuple[Steps, Floats]:

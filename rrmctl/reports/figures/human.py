@@ -8,7 +8,10 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from rrmctl.reports.marks import (
+from rrmctl.reports.captions import title
+from rrmctl.reports.figure_layout import Slot, cells_sheet
+from rrmctl.reports.notebook import FromFrames, nothing
+from rrmctl.reports.plot_elements import (
     UNITS,
     contents,
     curve,
@@ -20,13 +23,10 @@ from rrmctl.reports.marks import (
     score_axis,
     step_axis,
 )
-from rrmctl.reports.notebook import FromFrames, nothing
 from rrmctl.reports.series import Panel, Section
-from rrmctl.reports.settings import DEFAULTS, Settings
-from rrmctl.reports.sheet import Cell, cells_sheet
 from rrmctl.reports.smoothing import smooth
+from rrmctl.reports.statistics import DEFAULTS, Statistics
 from rrmctl.reports.styles import Looks
-from rrmctl.reports.words import title
 from rrmctl.stats import iqm
 
 if TYPE_CHECKING:
@@ -46,7 +46,7 @@ def suits(section: Section) -> bool:
     return any(panel.teacher == HUMAN for panel in section.panels())
 
 
-def draw(section: Section, settings: Settings = DEFAULTS) -> Figure:
+def draw(section: Section, settings: Statistics = DEFAULTS) -> Figure:
     """Smoothed learning curves, a panel for each task that people taught (of every task, where they taught none).
 
     Raises:
@@ -69,7 +69,7 @@ def draw(section: Section, settings: Settings = DEFAULTS) -> Figure:
     )
 
 
-def _cell(name: str, panel: Panel, looks: Looks, kind: IqmKind) -> Cell:
+def _cell(name: str, panel: Panel, looks: Looks, kind: IqmKind) -> Slot:
     def fill(axes: Axes) -> None:
         for position, each in enumerate(panel.present()):
             look = looks[each.label.method]
@@ -78,7 +78,7 @@ def _cell(name: str, panel: Panel, looks: Looks, kind: IqmKind) -> Cell:
         score_axis(axes, panel.score)
         step_axis(axes, max(int(each.steps[-1]) for each in panel.present()))
 
-    return Cell(name, f"{UNITS[panel.score]}, smoothed", fill)
+    return Slot(name, f"{UNITS[panel.score]}, smoothed", fill)
 
 
 smoothed_curves = FromFrames(draw)

@@ -15,15 +15,15 @@ import numpy as np
 from rrmctl.errors import UserError
 from rrmctl.labels import NOTHING_ASKED
 from rrmctl.planning.schedules import Schedule
-from rrmctl.reports.marks import UNITS, contents, methods, score_axis, told
+from rrmctl.reports.captions import title
+from rrmctl.reports.figure_layout import Slot, cells_sheet
+from rrmctl.reports.iqm_curves import ALL_TASKS
 from rrmctl.reports.notebook import FromFrames, nothing
+from rrmctl.reports.plot_elements import UNITS, contents, methods, score_axis, told
 from rrmctl.reports.scores import read_together, score
 from rrmctl.reports.series import Floats, Section, Series
-from rrmctl.reports.settings import DEFAULTS, SURE, Settings
-from rrmctl.reports.sheet import Cell, cells_sheet
+from rrmctl.reports.statistics import DEFAULTS, SURE, Statistics
 from rrmctl.reports.styles import Looks, Style
-from rrmctl.reports.tables import ALL_TASKS
-from rrmctl.reports.words import title
 from rrmctl.stats import Estimate, iqm
 
 if TYPE_CHECKING:
@@ -47,7 +47,7 @@ def suits(section: Section) -> bool:
     return bool(sweeps(section))
 
 
-def draw(section: Section, settings: Settings = DEFAULTS) -> Figure:
+def draw(section: Section, settings: Statistics = DEFAULTS) -> Figure:
     """For each task, and for the mean of the success tasks, a panel for each respect in which schedules differ.
 
     Raises:
@@ -120,8 +120,8 @@ def _means(found: Sequence[Sweep]) -> list[list[Sweep]]:
 
 
 def _cell(
-    group: Sequence[Sweep], found: Sequence[Sweep], values: Mapping[Series, Floats], looks: Looks, settings: Settings
-) -> Cell:
+    group: Sequence[Sweep], found: Sequence[Sweep], values: Mapping[Series, Floats], looks: Looks, settings: Statistics
+) -> Slot:
     """A panel: one task, or the mean of several."""
     first = group[0]
     name = first.task if len(group) == 1 else ALL_TASKS
@@ -133,11 +133,11 @@ def _cell(
         across = f"Queries a session,\nevery {told(first.schedules[0].every)} steps"
     else:
         across = f"Steps between\nsessions of {first.schedules[0].batch}"
-    return Cell(name, UNITS[unit], _filler(group, unit, values, looks, settings), across)
+    return Slot(name, UNITS[unit], _filler(group, unit, values, looks, settings), across)
 
 
 def _filler(
-    group: Sequence[Sweep], unit: str, values: Mapping[Series, Floats], looks: Looks, settings: Settings
+    group: Sequence[Sweep], unit: str, values: Mapping[Series, Floats], looks: Looks, settings: Statistics
 ) -> Callable[[Axes], None]:
     first, scale = group[0], 100 if unit == "success" else 1
     names = list(dict.fromkeys(method for method, _ in first.series))
@@ -156,7 +156,7 @@ def _filler(
     return fill
 
 
-def _point(tasks: Sequence[Floats], settings: Settings) -> tuple[Estimate, float]:
+def _point(tasks: Sequence[Floats], settings: Statistics) -> tuple[Estimate, float]:
     """Of one method under one schedule on each task: the mean over the steps, and the value at the last of them."""
     last = [iqm(values[:, -1], settings.kind) for values in tasks]
     return score(tasks, settings).estimate(), float(np.mean(last))

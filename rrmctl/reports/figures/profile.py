@@ -11,14 +11,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from rrmctl.reports.marks import UNITS, contents, line, score_axis
+from rrmctl.reports.captions import title
+from rrmctl.reports.figure_layout import Slot, cells_sheet
+from rrmctl.reports.final_scores import FinalScores, last_step, readings
 from rrmctl.reports.notebook import FromFrames, nothing
-from rrmctl.reports.readings import Reading, last_step, readings
+from rrmctl.reports.plot_elements import UNITS, contents, line, score_axis
 from rrmctl.reports.series import Section
-from rrmctl.reports.settings import BOOTSTRAP_SEED, DEFAULTS, LEVEL, SURE, Settings
-from rrmctl.reports.sheet import Cell, cells_sheet
+from rrmctl.reports.statistics import BOOTSTRAP_SEED, DEFAULTS, LEVEL, SURE, Statistics
 from rrmctl.reports.styles import Looks
-from rrmctl.reports.words import title
 from rrmctl.stats import MIN_RUNS, performance_profile
 
 if TYPE_CHECKING:
@@ -34,7 +34,7 @@ def suits(section: Section) -> bool:
     return bool(_cells(section))
 
 
-def draw(section: Section, settings: Settings = DEFAULTS) -> Figure:
+def draw(section: Section, settings: Statistics = DEFAULTS) -> Figure:
     """A panel for the success tasks together, and one for each task that is scored by return.
 
     Raises:
@@ -47,7 +47,7 @@ def draw(section: Section, settings: Settings = DEFAULTS) -> Figure:
     names = dict.fromkeys(method for cell in cells for method in cell.strata)
     return cells_sheet(
         title(section),
-        [Cell(_name(cell), "Runs above it (%)", _filler(cell, looks, settings), UNITS[cell.score]) for cell in cells],
+        [Slot(_name(cell), "Runs above it (%)", _filler(cell, looks, settings), UNITS[cell.score]) for cell in cells],
         size=settings.width,
         handles={f"{method} ({_counts(method, cells)})": looks[method] for method in names},
         notes=[
@@ -58,7 +58,7 @@ def draw(section: Section, settings: Settings = DEFAULTS) -> Figure:
     )
 
 
-def _cells(section: Section) -> list[Reading]:
+def _cells(section: Section) -> list[FinalScores]:
     """Readings with two methods that have runs enough; tasks stand for themselves where pooling would lose a method."""
     found = readings(section, last_step)
     pools = [cell for cell in found if len(cell.panels) > 1 and _complete(cell)]
@@ -67,25 +67,25 @@ def _cells(section: Section) -> list[Reading]:
     return [cell for cell in chosen if sum(_enough(cell, method) for method in cell.strata) > 1]
 
 
-def _complete(cell: Reading) -> bool:
+def _complete(cell: FinalScores) -> bool:
     return all(series.label.method in cell.strata for panel in cell.panels for series in panel.present())
 
 
-def _enough(cell: Reading, method: str) -> bool:
+def _enough(cell: FinalScores, method: str) -> bool:
     return min(scores.size for scores in cell.strata[method]) >= MIN_RUNS
 
 
-def _name(cell: Reading) -> str:
+def _name(cell: FinalScores) -> str:
     return f"{cell.name}, last step" if cell.read is None else f"{cell.name}, step {cell.read.step:,}"
 
 
-def _counts(method: str, cells: Sequence[Reading]) -> str:
+def _counts(method: str, cells: Sequence[FinalScores]) -> str:
     """Runs behind the method's lines: `n = 30`, or the fewest and the most."""
     runs = [cell.runs(method).size for cell in cells if method in cell.strata]
     return f"n = {'–'.join(map(str, dict.fromkeys((min(runs), max(runs)))))}"
 
 
-def _filler(cell: Reading, looks: Looks, settings: Settings) -> Callable[[Axes], None]:
+def _filler(cell: FinalScores, looks: Looks, settings: Statistics) -> Callable[[Axes], None]:
     scores = np.concatenate([cell.runs(method) for method in cell.strata])
     low, high = (0.0, 100.0) if cell.score == "success" else (float(scores.min()), float(scores.max()))
 

@@ -10,14 +10,14 @@ from typing import TYPE_CHECKING
 
 from rrmctl.commands import rrmctl
 from rrmctl.errors import UserError
-from rrmctl.reports.canvas import encode
+from rrmctl.reports.captions import title
+from rrmctl.reports.figure_files import encode
 from rrmctl.reports.figures import figures
 from rrmctl.reports.page import listings
 from rrmctl.reports.page.parts import Part, Picture, identifier
-from rrmctl.reports.page.tables import Tables, rank, tables_at
+from rrmctl.reports.page.table_parts import Tables, rank, tables_at
 from rrmctl.reports.series import Section
-from rrmctl.reports.settings import Settings
-from rrmctl.reports.words import title
+from rrmctl.reports.statistics import Statistics
 from rrmctl.store.inventory import Run
 
 if TYPE_CHECKING:
@@ -50,7 +50,7 @@ class Variant:
         return identifier(self.experiment, self.name)
 
 
-def chapter(variant: Variant, gathered: Tables, settings: Settings) -> Part:
+def chapter(variant: Variant, gathered: Tables, settings: Statistics) -> Part:
     """Everything about one variant."""
     name, section = variant.id, variant.section
     states = Counter(str(run.plan["state"]) for run in {run.id: run for run in variant.runs}.values())
@@ -75,7 +75,7 @@ def _warnings(section: Section | UserError) -> Sequence[str]:
     return section.problems if section.contained else ["No run can be shown yet."]
 
 
-def _figures(section: Section, name: str, settings: Settings) -> Iterator[Picture | str]:
+def _figures(section: Section, name: str, settings: Statistics) -> Iterator[Picture | str]:
     for figure, entry in sorted(figures().items(), key=rank):
         module = entry.load()
         if not module.suits(section):

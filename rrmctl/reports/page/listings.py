@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 from rrmctl.commands import run_commands
 from rrmctl.labels import NOTHING_ASKED
-from rrmctl.reports.accounts import GROUP, common_settings, differing_settings, makings, spending, total
 from rrmctl.reports.page.parts import Column, Part, Table
+from rrmctl.reports.run_facts import GROUP, common_settings, differing_settings, makings, spending, total
 from rrmctl.store.inventory import Run
 
 if TYPE_CHECKING:

@@ -9,7 +9,7 @@ from typing import Any, ClassVar, NamedTuple
 
 import pandas as pd
 
-from rrmctl.reports.document import NOTHING
+from rrmctl.reports.report import NOTHING
 
 Row = Mapping[Any, Any] | Sequence[Any]
 

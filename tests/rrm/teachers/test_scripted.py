@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rrm.buffers.preferences import EQUAL, FIRST, SECOND, SKIPPED
+from rrm.buffers.pairs import EQUAL, FIRST, SECOND, SKIPPED
 from rrm.config import TeacherConfig
 from rrm.teachers import TEACHERS
 from rrm.teachers.scripted import ScriptedTeacher, preference_probability, recency_weighted

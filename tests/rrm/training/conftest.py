@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from rrm.config import AgentConfig, EvaluationConfig, ExplorationConfig, FeedbackConfig, RewardConfig
-from rrm.training.config import RunConfig
+from rrm.training.run_config import RunConfig
 
 
 @pytest.fixture

@@ -22,10 +22,10 @@ from rrm.imitation.demos import Demonstrations
 from rrm.priors.imitation import ImitationPrior
 from rrm.registry import file_digest
 from rrm.training.build import result_of
-from rrm.training.config import RunConfig
-from rrm.training.demos import DemosConfig
+from rrm.training.demos_config import DemosConfig
 from rrm.training.jobs import collect, perform, train
 from rrm.training.loop import Trainer
+from rrm.training.run_config import RunConfig
 
 IMITATION = ImitationConfig(
     seed_steps=100, every=50, updates=4, minibatch=8, hidden=16, layers=1, window=150, switch=300

@@ -122,7 +122,7 @@ def test_killed_with_sigkill_it_goes_on(tiny, recorder, networks, tmp_path):
     script = textwrap.dedent("""
         import contextlib, os, signal, sys
         from pathlib import Path
-        from rrm.training.config import RunConfig
+        from rrm.training.run_config import RunConfig
         from rrm.training.jobs import train
         class Fatal:
             steps = 0

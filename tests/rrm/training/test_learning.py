@@ -3,8 +3,8 @@
 import pytest
 
 from rrm.config import AgentConfig, EvaluationConfig, ExplorationConfig, FeedbackConfig, MrnConfig, RewardConfig
-from rrm.training.config import RunConfig
 from rrm.training.jobs import train
+from rrm.training.run_config import RunConfig
 
 RATE = {"actor_lr": 1e-3, "critic_lr": 1e-3, "alpha_lr": 1e-3}
 

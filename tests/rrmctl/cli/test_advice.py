@@ -18,7 +18,7 @@ import typer
 from rrmctl.cli.app import app
 from rrmctl.store import planned
 from rrmctl.store.layout import Layout
-from rrmctl.store.records import State, read_status, write_status
+from rrmctl.store.status import RunState, read_status, write_status
 from tests.rrmctl.cli.test_run import ERROR, EXPERIMENTS, finished, settle
 from tests.test_architecture import MODULES
 
@@ -108,7 +108,7 @@ def test_after_all_is_done(folder: Path) -> None:
 def test_where_something_failed(folder: Path) -> None:
     """The reasons; the log of one; and what tries again, which is not run here."""
     _, ids = finished(folder / RESULTS)
-    settle(folder / RESULTS, State.FAILED, seeds="0,", error=ERROR)
+    settle(folder / RESULTS, RunState.FAILED, seeds="0,", error=ERROR)
     code, told = typed(RUN)
     assert code == 1
     asked, again = commands(told)

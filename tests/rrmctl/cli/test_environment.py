@@ -9,12 +9,12 @@ from pathlib import Path
 import matplotlib as mpl
 import pytest
 
-from rrm.process import environment
+from rrm.environ import environment
 from rrmctl import doctor
-from rrmctl.reports.canvas import encode
+from rrmctl.reports.figure_files import encode
 from rrmctl.reports.figures.box import box_plot
 from rrmctl.reports.figures.curves import learning_curves
-from rrmctl.running.child import worker_environment
+from rrmctl.running.process import worker_environment
 from tests.rrmctl.reports.frames import Sweep
 
 EXPERIMENTS = str(Path(__file__).parents[3] / "experiments")

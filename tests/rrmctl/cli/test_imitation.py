@@ -14,7 +14,7 @@ import pytest
 from rrmctl.store import load, planned
 from rrmctl.store.layout import Layout
 from rrmctl.store.reader import run_status
-from rrmctl.store.records import State
+from rrmctl.store.status import RunState
 from rrmctl.store.sweeps import read_sweeps
 from tests.rrmctl.cli.test_run import EXPERIMENTS, call, numbers, start
 
@@ -35,7 +35,7 @@ def test_from_nothing_killed_and_resumed(tmp_path: Path) -> None:
         (sweep,) = read_sweeps(Layout(loud))
         for job in sweep.everything:
             status = run_status(Layout(loud).run(job.id))
-            if status.state is State.RUNNING and status.pid is not None:
+            if status.state is RunState.RUNNING and status.pid is not None:
                 os.kill(status.pid, signal.SIGKILL)
         os.killpg(program.pid, signal.SIGKILL)
         program.communicate()

@@ -9,10 +9,10 @@ from pathlib import Path
 import pytest
 
 from rrmctl.cli.live import Bars, Lines, score
-from rrmctl.running.pool import Assignment
-from rrmctl.running.scheduler import Ending, Outcome, Phase
+from rrmctl.running.scheduler import Ending, Outcome, Stage
+from rrmctl.running.supervisor import Assignment
 from rrmctl.store.layout import Layout
-from rrmctl.store.records import ErrorKind, RunError
+from rrmctl.store.status import ErrorKind, RunError
 from rrmctl.terminal import console
 
 JOBS = [Assignment(id=run, label=f"t pebble seed {seed}", steps=1000) for seed, run in enumerate("ab")]
@@ -28,10 +28,10 @@ def tell(view: Lines) -> None:
     view.row("a", 100, 0.5, 12.0)
     view.row("a", 200, 0.6, 12.0)
     view.note("a", "prior [odd]")
-    view.ended("a", Outcome(Ending.DONE), Phase.DONE)
+    view.ended("a", Outcome(Ending.DONE), Stage.DONE)
     view.started("b", 2)
-    view.ended("b", failure(), Phase.WAITING)
-    view.ended("b", failure(), Phase.FAILED)
+    view.ended("b", failure(), Stage.WAITING)
+    view.ended("b", failure(), Stage.FAILED)
     view.stopping(1, 60.0)
 
 
@@ -71,7 +71,7 @@ def test_a_mistake_is_told_without_its_log(tmp_path: Path) -> None:
     """The message says it all."""
     out = io.StringIO()
     view = Lines(console(out, width=200), Layout(tmp_path), JOBS)
-    view.ended("a", failure(ErrorKind.REFUSED), Phase.FAILED)
+    view.ended("a", failure(ErrorKind.REFUSED), Stage.FAILED)
     assert out.getvalue().count("\n") == 1
 
 
@@ -90,7 +90,7 @@ def test_bars(tmp_path: Path) -> None:
     assert (bar.completed, bar.total) == (500, 1000)
     assert bar.fields == {"rate": "10 steps/s", "score": "return 12.3", "left": "50 s"}
     assert shown["0 of 2 runs"].fields["left"] == "2 min"
-    view.ended("a", Outcome(Ending.DONE), Phase.DONE)
+    view.ended("a", Outcome(Ending.DONE), Stage.DONE)
     view.tick()
     assert [task.description for task in view.progress.tasks] == ["1 of 2 runs", "t pebble seed 1"]
     assert view.progress.tasks[0].completed == 1

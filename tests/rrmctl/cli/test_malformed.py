@@ -25,7 +25,7 @@ from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
 from typer.testing import CliRunner, Result
 
-from rrm.training.config import RunConfig
+from rrm.training.run_config import RunConfig
 from rrmctl.cli.app import app
 from rrmctl.planning.manifest import Grid
 from rrmctl.planning.profiles import profiles

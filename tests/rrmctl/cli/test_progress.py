@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 
 from rrmctl.cli.progress import Group, errors, group_by_row, group_by_sweep
-from rrmctl.store.records import ErrorKind, RunError, State, Status
 from rrmctl.store.speeds import speeds
+from rrmctl.store.status import ErrorKind, RunError, RunState, Status
 from rrmctl.store.sweeps import JobRecord, SweepRecord
 
 
@@ -17,11 +17,11 @@ def job(run: str, method: str = "pebble", seed: int = 0) -> JobRecord:
 
 
 def failed(message: str) -> Status:
-    return Status(state=State.FAILED, error=RunError(kind=ErrorKind.CRASHED, type="E", message=message))
+    return Status(state=RunState.FAILED, error=RunError(kind=ErrorKind.CRASHED, type="E", message=message))
 
 
-DONE = Status(state=State.DONE, step=1000, steps=1000, wall_s=10.0, steps_per_s=1.0)
-RUNNING = Status(state=State.RUNNING, step=600, steps=1000, steps_per_s=50.0)
+DONE = Status(state=RunState.DONE, step=1000, steps=1000, wall_s=10.0, steps_per_s=1.0)
+RUNNING = Status(state=RunState.RUNNING, step=600, steps=1000, steps_per_s=50.0)
 
 
 def test_the_speed_of_a_finished_run_counts_its_evaluations() -> None:

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from rrmctl.cli.finish import _afterwards
+from rrmctl.cli.summary import _afterwards
 from rrmctl.errors import RoomError, room_error
 from tests.rrmctl.cli.test_app import raising
 from tests.rrmctl.cli.test_run import PROGRAM, call, finished

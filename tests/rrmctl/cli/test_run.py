@@ -20,11 +20,11 @@ from rrmctl.cli import introduction
 from rrmctl.cli.app import app
 from rrmctl.cli.request import Request, forecast
 from rrmctl.store import load, planned
-from rrmctl.store.atomic import try_lock
+from rrmctl.store.files import try_lock
 from rrmctl.store.layout import Layout
 from rrmctl.store.reader import run_status
-from rrmctl.store.records import ErrorKind, RunError, State, Status, read_status, write_status
 from rrmctl.store.schema import TIMINGS
+from rrmctl.store.status import ErrorKind, RunError, RunState, Status, read_status, write_status
 from rrmctl.store.sweeps import read_sweeps
 from rrmctl.store.writer import CurveWriter
 from rrmctl.terminal import console
@@ -40,7 +40,7 @@ def call(*arguments: str | Path) -> Result:
     return CliRunner().invoke(app, list(map(str, arguments)))
 
 
-def settle(root: Path, state: State, seeds: str = "2", error: RunError | None = None) -> list[str]:
+def settle(root: Path, state: RunState, seeds: str = "2", error: RunError | None = None) -> list[str]:
     """Pretend that toy-car's oracle has run for these seeds; the ids."""
     jobs = Request("toy-car", EXPERIMENTS, profile="smoke", seeds=seeds, methods=["oracle"]).plan().jobs
     for job in jobs:
@@ -68,14 +68,14 @@ def test_paths_hold_wherever_the_code_of_a_user_goes(tmp_path: Path) -> None:
     files = [path for path in run.iterdir() if path.is_file()]
     assert all(path.stat().st_mode & 0o400 for path in files), files
     folder = Layout(home / "res").run(run.name)
-    write_status(folder, dataclasses.replace(read_status(folder), state=State.INTERRUPTED))
+    write_status(folder, dataclasses.replace(read_status(folder), state=RunState.INTERRUPTED))
     home.rename(moved)
     ran = program(moved, "resume", "--results", "res")
     assert ran.returncode == 75, ran.stderr
     assert f"stopped: cannot read {home / 'mine.py'}" in ran.stderr
     assert "bring it back" in ran.stderr
     assert "Traceback" not in ran.stderr
-    assert run_status(Layout(moved / "res").run(run.name)).state is State.INTERRUPTED
+    assert run_status(Layout(moved / "res").run(run.name)).state is RunState.INTERRUPTED
     ran = program(moved, *sweep)
     assert ran.returncode == 0, ran.stderr
     assert [path.name for path in (moved / "res" / "runs").iterdir()] == [run.name]
@@ -83,7 +83,7 @@ def test_paths_hold_wherever_the_code_of_a_user_goes(tmp_path: Path) -> None:
 
 def test_a_sweep_that_is_done_is_not_run_again(tmp_path: Path) -> None:
     """Exit code 0, no process, and the next command by name."""
-    ids = settle(tmp_path, State.DONE)
+    ids = settle(tmp_path, RunState.DONE)
     result = call("run", *PLAN, "--methods", "oracle", "--seeds", "2", "--results", tmp_path)
     assert result.exit_code == 0
     assert "2 runs, 2 done already" in result.stderr
@@ -96,10 +96,10 @@ def test_the_manifests_closing_is_said_where_all_is_done(tmp_path: Path) -> None
     manifest = tmp_path / "toy-car.toml"
     manifest.write_text('closing = """\nOne line [/b],\nanother."""\n' + (EXPERIMENTS / "toy-car.toml").read_text())
     asked = ["run", manifest, *PLAN[3:], "--methods", "oracle", "--seeds", "1", "--results", tmp_path]
-    settle(tmp_path, State.DONE, "1")
+    settle(tmp_path, RunState.DONE, "1")
     said = call(*asked)
     assert (said.exit_code, said.stdout.splitlines()[-4:]) == (0, ["", "One line [/b],", "another.", ""])
-    settle(tmp_path, State.FAILED, "1", error=ERROR)
+    settle(tmp_path, RunState.FAILED, "1", error=ERROR)
     assert "another" not in call(*asked).stdout
 
 
@@ -119,7 +119,7 @@ def test_the_introduction_bears_profiles_that_cannot_hold_the_request(
 def test_asking_for_more_seeds_adds_to_the_record(tmp_path: Path) -> None:
     """The sweep's record is the union; each run's configuration names its seed."""
     for seeds in ("2", "1,", "5"):
-        settle(tmp_path, State.DONE, seeds)
+        settle(tmp_path, RunState.DONE, seeds)
         call("run", *PLAN, "--methods", "oracle", "--seeds", seeds, "--results", tmp_path)
     (sweep,) = read_sweeps(Layout(tmp_path))
     assert (sweep.experiment, sweep.variant, sweep.profile) == ("toy-car", "smoke", "smoke")
@@ -130,7 +130,7 @@ def test_asking_for_more_seeds_adds_to_the_record(tmp_path: Path) -> None:
 
 def test_failed_runs_stay_failed_until_asked_for(tmp_path: Path) -> None:
     """Neither run nor resume starts them; both leave with 1 and say how to try again."""
-    settle(tmp_path, State.FAILED, error=ERROR)
+    settle(tmp_path, RunState.FAILED, error=ERROR)
     result = call("run", *PLAN, "--methods", "oracle", "--seeds", "2", "--results", tmp_path)
     assert result.exit_code == 1
     assert "--retry-failed" in result.stdout
@@ -160,7 +160,7 @@ def test_a_results_folder_that_is_not_there(tmp_path: Path, command: str) -> Non
 def test_status_of_everything(tmp_path: Path) -> None:
     """A line per sweep with its counts; a run whose process is gone is interrupted, one whose lock is held runs."""
     layout, jobs = prepare(tmp_path, range(5))
-    for job, state in zip(jobs, (State.DONE, State.RUNNING, State.RUNNING, State.FAILED), strict=False):
+    for job, state in zip(jobs, (RunState.DONE, RunState.RUNNING, RunState.RUNNING, RunState.FAILED), strict=False):
         write_status(layout.run(job.id), Status(state=state, attempt=1, steps_per_s=10.0, error=ERROR))
     lock = try_lock(layout.run(jobs[1].id).lock)
     assert lock is not None
@@ -190,7 +190,7 @@ def test_status_of_failures_groups_them(tmp_path: Path) -> None:
     layout, jobs = prepare(tmp_path, range(3))
     assert "No run failed." in call("status", "--failed", "--results", tmp_path).stdout
     for job in jobs[:2]:
-        write_status(layout.run(job.id), Status(state=State.FAILED, attempt=3, error=ERROR))
+        write_status(layout.run(job.id), Status(state=RunState.FAILED, attempt=3, error=ERROR))
     layout.run(jobs[2].id).status.write_text("{")
     out = call("status", "--failed", "--results", tmp_path).stdout
     assert "2 runs: PriorError: the prior returned NaN" in out
@@ -202,7 +202,7 @@ def test_watching_ends_when_nothing_is_left(tmp_path: Path) -> None:
     """Without a terminal it is a line whenever something changed."""
     layout, jobs = prepare(tmp_path, range(2))
     for job in jobs:
-        write_status(layout.run(job.id), Status(state=State.DONE))
+        write_status(layout.run(job.id), Status(state=RunState.DONE))
     assert call("status", "--watch", "--results", tmp_path).stdout == "2 done of 2 runs\n"
 
 
@@ -223,7 +223,7 @@ def test_show(tmp_path: Path) -> None:
     for step in range(10, 80, 10):
         curve.add(row(step, success=0.8).columns())
     folder.log.write_text("".join(f"line {n}\n" for n in range(50)))
-    write_status(folder, Status(state=State.FAILED, attempt=2, step=70, steps=400, error=ERROR))
+    write_status(folder, Status(state=RunState.FAILED, attempt=2, step=70, steps=400, error=ERROR))
     out = call("show", folder.id[:8], "--lines", "3", "--results", tmp_path).stdout
     assert "failed, attempt 2, step 70 of 400" in out
     assert "PriorError: the prior returned NaN" in out
@@ -268,7 +268,7 @@ def test_show_what_is_not_there(tmp_path: Path) -> None:
 
 def finished(root: Path) -> tuple[Layout, list[str]]:
     """Two oracle runs of toy-car with their curves, asked for by `run`; the ids."""
-    ids = settle(root, State.DONE)
+    ids = settle(root, RunState.DONE)
     call("run", *PLAN, "--methods", "oracle", "--seeds", "2", "--results", root)
     layout = Layout(root)
     for run in ids:
@@ -385,7 +385,7 @@ def test_killed_at_random_moments_and_resumed_ends_in_the_same_curves(tmp_path: 
         program = start("run", *sweep, "--results", loud)
         time.sleep(rng.uniform(3.0, 9.0))
         now = [run_status(Layout(loud).run(run)) for run in planned(loud, "toy-car")["run"]]
-        workers = [status.pid for status in now if status.state is State.RUNNING and status.pid is not None]
+        workers = [status.pid for status in now if status.state is RunState.RUNNING and status.pid is not None]
         for pid in rng.sample(workers, len(workers) // 2):
             os.kill(pid, signal.SIGKILL)
         os.killpg(program.pid, signal.SIGKILL)

@@ -12,11 +12,11 @@ import pytest
 from typer.testing import Result
 
 from rrmctl.cli.request import Request, job_record
-from rrmctl.running.runfile import config_content
+from rrmctl.running.config_file import config_content
 from rrmctl.store import load, planned
-from rrmctl.store.atomic import try_lock
+from rrmctl.store.files import try_lock
 from rrmctl.store.layout import Layout
-from rrmctl.store.records import State, Status, record_config, write_status
+from rrmctl.store.status import RunState, Status, record_config, write_status
 from rrmctl.store.sweeps import SweepRecord, read_sweeps, record_sweep
 from rrmctl.store.writer import CurveWriter
 from tests.rrmctl.cli.test_run import call
@@ -55,7 +55,7 @@ class Workshop:
     def layout(self) -> Layout:
         return Layout(self.results)
 
-    def run(self, seeds: str, *options: str, state: State = State.DONE) -> Result:
+    def run(self, seeds: str, *options: str, state: RunState = RunState.DONE) -> Result:
         """`rrmctl run` where every run has been trained already, as far as `state` says."""
         overrides = [each for each in options if "=" in each]
         plan = Request(str(self.folder / "mine.toml"), profile="smoke", seeds=seeds, overrides=overrides).plan()
@@ -63,7 +63,7 @@ class Workshop:
             folder, steps = self.layout.run(job.id), job.config.steps
             content = config_content(job.config)
             record_config(folder, content)
-            if not folder.curve.exists() and state is State.DONE:
+            if not folder.curve.exists() and state is RunState.DONE:
                 CurveWriter(folder, content | {"run": job.id}).add(
                     *(row(step, success=1.0).columns() for step in (steps // 2, steps))
                 )
@@ -174,7 +174,7 @@ def test_changed_demonstrations_and_what_they_were_needed_for_give_way(workshop:
 
 def test_runs_that_gave_way_are_not_gone_on_with(workshop: Workshop) -> None:
     """A file that changed half way: `resume` is about the new runs alone."""
-    workshop.run("2", state=State.FAILED)
+    workshop.run("2", state=RunState.FAILED)
     edit_the_prior(workshop)
     workshop.run("2")
     done = workshop.call("resume")

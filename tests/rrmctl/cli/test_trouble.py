@@ -9,9 +9,9 @@ from pathlib import Path
 import pytest
 
 from rrmctl.cli.request import Request
-from rrmctl.store import shape
+from rrmctl.store import validation
 from rrmctl.store.layout import Layout
-from rrmctl.store.records import State, Status, write_status
+from rrmctl.store.status import RunState, Status, write_status
 from tests.rrmctl.cli.test_run import EXPERIMENTS, PLAN, call, settle
 from tests.rrmctl.running.standin import prepare
 
@@ -40,7 +40,7 @@ def test_a_results_folder_of_another_version(
     """One message with both versions, and nothing is touched."""
     prepare(tmp_path / "results", range(1))
     before = held(tmp_path)
-    monkeypatch.setattr(shape, "SCHEMA_VERSION", 2)
+    monkeypatch.setattr(validation, "SCHEMA_VERSION", 2)
     monkeypatch.chdir(tmp_path)
     result = call(*command, "--results", tmp_path / "results")
     assert result.exit_code == 2, result.output
@@ -54,7 +54,7 @@ def test_a_damaged_record_is_set_aside_and_written_again(tmp_path: Path) -> None
     path = Layout(tmp_path).sweep("toy-car", "smoke")
     path.parent.mkdir(parents=True)
     path.write_text("{")
-    settle(tmp_path, State.DONE, "1")
+    settle(tmp_path, RunState.DONE, "1")
     result = call("run", *ORACLE, "--results", tmp_path)
     assert result.exit_code == 0, result.output
     assert "smoke.json.corrupt-1 and written anew" in result.stderr
@@ -83,7 +83,7 @@ def test_a_run_without_its_configuration_is_healed_by_running_its_experiment_aga
     sweep = ("run", *ORACLE, "--set", "steps=300", "--workers", "1", "--results", tmp_path)
     plan = Request("toy-car", EXPERIMENTS, "smoke", "1", methods=["oracle"], overrides=["steps=300"]).plan()
     folder = Layout(tmp_path).run(plan.jobs[0].id)
-    write_status(folder, Status(state=State.DONE))
+    write_status(folder, Status(state=RunState.DONE))
     assert call(*sweep).exit_code == 0  # recorded, and nothing to do
     for path in (folder.status, folder.config):
         path.unlink()

@@ -10,7 +10,7 @@ from typer.testing import CliRunner, Result
 from rrmctl.cli.app import app
 from rrmctl.cli.trust import remember, require_trust
 from rrmctl.errors import UserError
-from rrmctl.running.runfile import code_files
+from rrmctl.running.config_file import code_files
 
 EXPERIMENTS = Path(__file__).parents[3] / "experiments"
 

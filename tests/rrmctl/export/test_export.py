@@ -20,7 +20,7 @@ from rrmctl.export.formats import formats
 from rrmctl.export.formats.csv import OTHER_RUN_COLUMNS
 from rrmctl.export.formats.tensorboard import run_folder, tag
 from rrmctl.store import load
-from rrmctl.store.atomic import write_json
+from rrmctl.store.files import write_json
 from rrmctl.store.inventory import inventory, table
 from rrmctl.store.layout import Layout
 from rrmctl.store.schema import MEASURED

@@ -7,14 +7,14 @@ from typing import Any
 
 import pytest
 
-from rrm.training.config import RunConfig
+from rrm.training.run_config import RunConfig
 from rrmctl.cli.request import job_record
 from rrmctl.planning import manifest
-from rrmctl.planning.cost import estimate, measure_gemm, model_seconds
+from rrmctl.planning.cost import estimate_cost, measure_gemm, model_seconds
 from rrmctl.planning.plan import Plan, make_plan
 from rrmctl.store.layout import Layout
-from rrmctl.store.records import State, Status, write_status
 from rrmctl.store.speeds import stored_speeds
+from rrmctl.store.status import RunState, Status, write_status
 from rrmctl.store.sweeps import SweepRecord, record_sweep
 
 GIGA = 1e9
@@ -64,7 +64,7 @@ def test_what_costs_more() -> None:
 def test_seeds_cost_the_same() -> None:
     """The estimate covers every job, adds up, and says that it is a model."""
     plan = toy(seeds="3")
-    cost = estimate(plan, {}, 100 * GIGA)
+    cost = estimate_cost(plan, {}, 100 * GIGA)
     assert set(cost.seconds) == {job.id for job in plan.jobs}
     assert len(set(cost.seconds.values())) == 2
     assert cost.core_hours() == pytest.approx(sum(cost.seconds.values()) / 3600)
@@ -74,7 +74,7 @@ def test_seeds_cost_the_same() -> None:
 def test_only_what_is_left_is_counted() -> None:
     """A finished job costs nothing more, one half done half as much."""
     plan = toy(seeds="1")
-    cost = estimate(plan, {(job.task, job.method, "paper"): 100.0 for job in plan.jobs})
+    cost = estimate_cost(plan, {(job.task, job.method, "paper"): 100.0 for job in plan.jobs})
     assert cost.core_hours() == pytest.approx(2 * (3 + 15_000 / 100) / 3600)
     assert cost.core_hours({plan.jobs[0].id: 0.0, plan.jobs[1].id: 0.5}) == pytest.approx(
         0.5 * (3 + 15_000 / 100) / 3600
@@ -96,30 +96,30 @@ def store(root: Path, plan: Plan, *states: Status) -> Layout:
 def test_stored_speeds_come_first(tmp_path: Path) -> None:
     """Runs in the store give the speed of their task, method and variant; the model serves for the rest."""
     plan = toy()
-    done = Status(state=State.DONE, step=15_000, steps=15_000, wall_s=30.0, steps_per_s=1.0)
+    done = Status(state=RunState.DONE, step=15_000, steps=15_000, wall_s=30.0, steps_per_s=1.0)
     layout = store(tmp_path, plan, done)
     rates = stored_speeds(layout)
     assert rates == {("toy-car", "oracle", "paper"): 500.0}
-    cost = estimate(plan, rates, 100 * GIGA)
+    cost = estimate_cost(plan, rates, 100 * GIGA)
     assert {job.method for job in plan.jobs if job.id in cost.measured} == {"oracle"}
     assert cost.seconds[plan.jobs[0].id] == 33.0
     assert "2 of 4 jobs" in cost.source
     smaller = toy(overrides={"agent.batch": 8})
-    assert not estimate(smaller, rates, 100 * GIGA).measured
+    assert not estimate_cost(smaller, rates, 100 * GIGA).measured
 
 
 def test_speed_of_unfinished_runs(tmp_path: Path) -> None:
     """An unfinished run tells its latest speed; the median over seeds counts; a run that never moved says nothing."""
     plan = toy(methods=["oracle"], seeds="4")
-    speeds = [Status(state=State.INTERRUPTED, step=10, steps=15_000, steps_per_s=s) for s in (100.0, 400.0, 200.0)]
+    speeds = [Status(state=RunState.INTERRUPTED, step=10, steps=15_000, steps_per_s=s) for s in (100.0, 400.0, 200.0)]
     assert stored_speeds(store(tmp_path, plan, *speeds, Status())) == {("toy-car", "oracle", "paper"): 200.0}
 
 
 def test_states_that_are_known_are_not_read_again(tmp_path: Path) -> None:
     """What a command has read already it need not find a second time; the other runs are looked up."""
     plan = toy(methods=["oracle"], seeds="2")
-    layout = store(tmp_path, plan, *[Status(state=State.DONE, step=100, wall_s=1.0)] * 2)
-    known = {plan.jobs[0].id: Status(state=State.DONE, step=300, wall_s=1.0)}
+    layout = store(tmp_path, plan, *[Status(state=RunState.DONE, step=100, wall_s=1.0)] * 2)
+    known = {plan.jobs[0].id: Status(state=RunState.DONE, step=300, wall_s=1.0)}
     assert stored_speeds(layout, known) == {("toy-car", "oracle", "paper"): 200.0}
 
 

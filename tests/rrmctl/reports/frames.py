@@ -7,12 +7,12 @@ from pathlib import Path
 
 import pandas as pd
 
-from rrmctl.store.atomic import write_json, write_table
 from rrmctl.store.curve import SETTINGS, table_of
+from rrmctl.store.files import write_json, write_table
 from rrmctl.store.layout import Layout
 from rrmctl.store.reader import PLANNED
-from rrmctl.store.records import State, Status, write_status
 from rrmctl.store.schema import IDENTITY, MEASURED
+from rrmctl.store.status import RunState, Status, write_status
 from rrmctl.store.sweeps import JobRecord, SweepRecord, record_sweep
 
 #: Success of each seed at steps 100, 200, 300, 400; the true return is a thousand times that.
@@ -120,7 +120,7 @@ class Sweep:
             if self.recorded.get(key, RECORDED):
                 write_json(folder.provenance, {"schema_version": 1, "resumed": [], **self.recorded.get(key, RECORDED)})
             write_json(folder.config, told | {"evaluation": {"success": "any", "deterministic": True}})
-            write_status(folder, Status(state=State(job["state"]), steps=400))
+            write_status(folder, Status(state=RunState(job["state"]), steps=400))
             curve = rows[rows["run"] == job["run"]][[*IDENTITY, *MEASURED, *FIGURES]]
             curve = curve.astype({"queries": int, "labels": int})
             if len(curve):

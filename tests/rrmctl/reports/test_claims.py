@@ -8,14 +8,14 @@ import pytest
 from rrmctl.planning.manifest import load
 from rrmctl.planning.plan import make_plan
 from rrmctl.reports.claims import BOX, FINAL, MEAN, Arm, Budget, Claim, Reading, above, at_least, below
-from rrmctl.reports.document import NoDataError
-from rrmctl.reports.judging import judge
-from rrmctl.reports.kinds import claims
 from rrmctl.reports.prose import CLAIMS
-from rrmctl.reports.settings import Settings
+from rrmctl.reports.report import NoDataError
+from rrmctl.reports.statistics import Statistics
+from rrmctl.reports.tables import claims
+from rrmctl.reports.verdicts import judge
 from tests.rrmctl.reports.stores import FULL, curve, section
 
-QUICK = Settings(replicates=2000)
+QUICK = Statistics(replicates=2000)
 STEPS = list(range(10_000, 510_000, 10_000))
 EXPERIMENTS = Path(__file__).parents[3] / "experiments"
 LITTLE = "5@5000/500"
@@ -185,7 +185,7 @@ def test_every_claim_is_one_of_a_manifest(experiment):
     """What a claim compares is what its experiment plans: with all runs there, no comparison misses any."""
     found = planned(experiment)
     for each in (each for each in CLAIMS if each.experiment == experiment):
-        judged = judge(each, {experiment: found}, Settings(replicates=100))
+        judged = judge(each, {experiment: found}, Statistics(replicates=100))
         assert {finding.why for finding in judged.findings} <= {"", "the interval allows both"}, each.name
         assert all(finding.found.n == 3 for finding in judged.findings)
 

@@ -7,7 +7,7 @@ from rrmctl.reports.figures import figures
 from rrmctl.reports.figures.gradient_norm import gradient_norms
 from rrmctl.reports.notebook import FromFrames
 from rrmctl.reports.select import sections
-from rrmctl.reports.settings import Settings
+from rrmctl.reports.statistics import Statistics
 from tests.rrmctl.reports import scenes
 from tests.rrmctl.reports.frames import RISING, SATURATED, Sweep
 from tests.rrmctl.reports.pictures import misplaced, words
@@ -55,7 +55,7 @@ DRAWN = [
 def test_nothing_is_cut_off_or_covered(scene, name, width):
     """Titles, names of axes, legend and notes lie on the page and not on one another, in both widths."""
     (section,) = sections(*SCENES[scene]())
-    assert misplaced(figures()[name].load().draw(section, Settings(width=width, **QUICK))) == []
+    assert misplaced(figures()[name].load().draw(section, Statistics(width=width, **QUICK))) == []
 
 
 @pytest.mark.parametrize("width", ["column", "page"])
@@ -73,7 +73,7 @@ def test_every_figure_tells_what_is_missing(scene, name):
     jobs.loc[lost, "state"] = "failed"
     rows.loc[rows["run"] == jobs.loc[lost, "run"], "state"] = "failed"
     (section,) = sections(rows, jobs)
-    told = words(figures()[name].load().draw(section, Settings(**QUICK)))
+    told = words(figures()[name].load().draw(section, Statistics(**QUICK)))
     assert f"{section.experiment} · profile laptop" in told
     assert f"{len(jobs) - 1} of {len(jobs)} planned runs. Not contained, failed:" in told
 
@@ -93,7 +93,7 @@ def test_a_figure_without_runs_is_refused(name):
 def test_saturated_scores_can_be_drawn(name):
     """All seeds at 100 % throughout: no spread, no warning."""
     (section,) = sections(*Sweep(curves=SATURATED).frames())
-    assert misplaced(figures()[name].load().draw(section, Settings(**QUICK))) == []
+    assert misplaced(figures()[name].load().draw(section, Statistics(**QUICK))) == []
 
 
 def test_every_figure_has_a_help_and_a_function_for_notebooks():

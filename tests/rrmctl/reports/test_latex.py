@@ -7,15 +7,15 @@ import subprocess
 
 import pytest
 
-from rrmctl.reports.kinds import claims, final, iqm, less_feedback, noisy_teacher, sim_to_real
 from rrmctl.reports.render import LATEX_PACKAGES, to_text
-from rrmctl.reports.settings import Settings
+from rrmctl.reports.statistics import Statistics
+from rrmctl.reports.tables import claims, final, iqm, less_feedback, noisy_teacher, sim_to_real
 from tests.rrmctl.reports.frames import Sweep
 from tests.rrmctl.reports.test_kinds import deployed, little, noisy
 from tests.rrmctl.reports.test_render import RAGGED, SMOKE, made
 
-QUICK = Settings(replicates=100)
-PAPERS = Settings(replicates=100, plus_minus=True)
+QUICK = Statistics(replicates=100)
+PAPERS = Statistics(replicates=100, plus_minus=True)
 
 
 @pytest.fixture

@@ -4,16 +4,16 @@ import pytest
 from scipy.stats import mannwhitneyu, trim_mean
 
 from rrmctl.labels import Label
-from rrmctl.reports.contests import against, decide, every_pair
-from rrmctl.reports.kinds import kinds
-from rrmctl.reports.kinds.power import COLUMNS, make
+from rrmctl.reports.pairwise import against, decide, every_pair
 from rrmctl.reports.render import to_text
 from rrmctl.reports.select import sections
-from rrmctl.reports.settings import Settings
+from rrmctl.reports.statistics import Statistics
+from rrmctl.reports.tables import kinds
+from rrmctl.reports.tables.power import COLUMNS, make
 from rrmctl.store.trials import Pairing, Trial
 from tests.rrmctl.reports.frames import RISING, SATURATED, Sweep
 
-QUICK = Settings(replicates=300)
+QUICK = Statistics(replicates=300)
 FEEDBACK = ("oracle", "50@5000/5000")
 
 

@@ -6,12 +6,12 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
-from rrmctl.reports.kinds import kinds
-from rrmctl.reports.kinds.iqm import make
+from rrmctl.reports.captions import EXPLAINED
 from rrmctl.reports.render import FORMATS, print_terminal, to_text
 from rrmctl.reports.select import sections
-from rrmctl.reports.settings import Settings
-from rrmctl.reports.words import EXPLAINED
+from rrmctl.reports.statistics import Statistics
+from rrmctl.reports.tables import kinds
+from rrmctl.reports.tables.iqm import make
 from rrmctl.terminal import console
 from tests.rrmctl.reports.frames import RISING, Sweep
 
@@ -22,7 +22,7 @@ def made(*sweeps: Sweep, **settings):
     """Reports of all these sweeps as of one store."""
     rows, jobs = (pd.concat(pair, ignore_index=True) for pair in zip(*(s.frames() for s in sweeps), strict=True))
     evaluation = {cell: told for sweep in sweeps for cell, told in sweep.evaluation().items()}
-    return make(sections(rows, jobs, evaluation=evaluation), Settings(replicates=1000, **settings))
+    return make(sections(rows, jobs, evaluation=evaluation), Statistics(replicates=1000, **settings))
 
 
 RAGGED = Sweep(
@@ -80,10 +80,10 @@ def test_notes_are_what_is_particular_to_a_table():
     enough = {method: seeds * 2 for method, seeds in RISING.items()}
     rows, jobs = Sweep(curves=enough).frames()
     usual = {cell: {"success": "any", "deterministic": True} for cell in jobs["cell"]}
-    (report,) = make(sections(rows, jobs, evaluation=usual), Settings())
+    (report,) = make(sections(rows, jobs, evaluation=usual), Statistics())
     assert report.notes == ("button-press is read where 80 % of the seeds of rrm-proxy are at 100 % first.",)
     odd = {cell: {"success": "last", "deterministic": False} for cell in jobs["cell"]}
-    (report,) = make(sections(rows[rows["seed"] < 3], jobs, evaluation=odd), Settings(kind="exact", replicates=100))
+    (report,) = make(sections(rows[rows["seed"] < 3], jobs, evaluation=odd), Statistics(kind="exact", replicates=100))
     told = "\n".join(report.notes)
     for word in ("9 of 30 planned runs.", "exact", "100 replicates", "71-76 % with 3", "sampled actions"):
         assert word in told, word
@@ -120,7 +120,7 @@ def test_teachers_and_schedules_are_named_where_they_differ():
     rows, jobs = (
         table.assign(run=table["run"] + half.astype(str)) for table, half in zip((rows, jobs), halves, strict=True)
     )
-    header = to_text(make(sections(rows, jobs), Settings(replicates=100)), "markdown").splitlines()[2]
+    header = to_text(make(sections(rows, jobs), Statistics(replicates=100)), "markdown").splitlines()[2]
     assert "Feedback" in header
     assert "Feedback" not in to_text(made(Sweep()), "markdown").splitlines()[2]
 

@@ -13,13 +13,13 @@ from rrmctl.reports.figures.gradient_norm import gradient_norms
 from rrmctl.reports.figures.human import smoothed_curves
 from rrmctl.reports.figures.less_feedback import less_feedback
 from rrmctl.reports.figures.profile import profile
-from rrmctl.reports.kinds import less_feedback as less_feedback_table
 from rrmctl.reports.select import read_sections, sections
-from rrmctl.reports.settings import Settings
 from rrmctl.reports.smoothing import smooth
+from rrmctl.reports.statistics import Statistics
 from rrmctl.reports.styles import style
+from rrmctl.reports.tables import less_feedback as less_feedback_table
 from rrmctl.store import load_gradients
-from rrmctl.store.atomic import DamagedError
+from rrmctl.store.files import DamagedError
 from rrmctl.store.layout import Layout
 from tests.rrmctl.reports import scenes, stores
 from tests.rrmctl.reports.frames import RISING, Sweep, together
@@ -79,7 +79,7 @@ def unequal(steps):
 def test_the_figure_shows_the_tables_numbers(other):
     """The panel of several tasks is the mean over them, as in `report less-feedback`, whatever steps each has."""
     frames = unequal({"button-press": [100, 200], "door-open": other})
-    table = less_feedback_table.table(*sections(*frames), Settings(replicates=200))
+    table = less_feedback_table.table(*sections(*frames), Statistics(replicates=200))
     figure = less_feedback(*frames, replicates=200)
     assert titles(figure) == ["button-press", "door-open", "success tasks"]
     for axes, task in zip(panels(figure), ("button-press", "door-open", less_feedback_table.ALL_TASKS), strict=True):

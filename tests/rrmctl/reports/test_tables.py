@@ -1,138 +1,390 @@
-import pickle
+import io
+import json
+import re
+import tomllib
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
 from scipy.stats import trim_mean
 
-from rrmctl.reports import aggregates
-from rrmctl.reports.select import sections
-from rrmctl.reports.settings import Settings
-from rrmctl.reports.tables import ALL_TASKS, COLUMNS, CURVE_COLUMNS, curve_table, curves, iqm_table
-from rrmctl.store.layout import Layout
-from tests.rrmctl.reports.frames import RISING, SATURATED, Sweep
+from rrmctl.errors import UserError
+from rrmctl.reports import published
+from rrmctl.reports.iqm_curves import ALL_TASKS
+from rrmctl.reports.render import FORMATS, to_text
+from rrmctl.reports.report import NoDataError
+from rrmctl.reports.statistics import Statistics
+from rrmctl.reports.tables import all as everything
+from rrmctl.reports.tables import claims, final, iqm, less_feedback, noisy_teacher, sim_to_real
+from tests.rrmctl.reports.stores import FULL, curve, section
 
-QUICK = Settings(replicates=300)
-
-
-def table(sweep: Sweep, settings: Settings = QUICK) -> pd.DataFrame:
-    (section,) = sections(*sweep.frames())
-    return iqm_table(section, settings)
-
-
-def row(found: pd.DataFrame, method: str, task: str = "button-press") -> pd.Series:
-    return found[(found["method"] == method) & (found["task"] == task)].iloc[0]
-
-
-def test_a_method_is_read_at_the_common_step():
-    """IQM, quartiles and counts of pebble are those of its five seeds at step 300."""
-    pebble = row(table(Sweep()), "pebble")
-    at_300 = [seed[2] for seed in RISING["pebble"]]
-    assert (pebble["step"], pebble["step_rule"], pebble["n"], pebble["planned"]) == (300, "first", 5, 5)
-    assert pebble["iqm"] == pytest.approx(trim_mean(at_300, 0.25))
-    assert (pebble["q25"], pebble["q75"]) == tuple(np.quantile(at_300, [0.25, 0.75]))
-    assert 0.0 <= pebble["low"] <= pebble["iqm"] <= pebble["high"] <= 0.7
+QUICK = Statistics(replicates=300)
+STEPS = [100_000, 200_000, 300_000, 400_000, 500_000]
+TEACHERS = {
+    "stochastic": ("pebble", "rrm-proxy", "rrm-language", "rrm-imitation"),
+    "mistaken-10": ("mrn", "rrm-mrn-proxy", "rrm-mrn-language", "rrm-mrn-imitation"),
+    "mistaken-15": ("mrn", "rrm-mrn-proxy", "rrm-mrn-language", "rrm-mrn-imitation"),
+}
 
 
-def test_replicates_are_not_kept():
-    """What a table and the file beside it share takes no more room for more resampled data sets."""
-    (section,) = sections(*Sweep().frames())
-    few, many = (len(pickle.dumps(curves(section, Settings(replicates=each)))) for each in (100, 3000))
-    assert abs(many - few) < 1000
+def noisy(profile="paper"):
+    """The manifest's series: three evaluations under the stochastic teacher, five elsewhere."""
+    series = {("button-press", "oracle", "-", "-"): curve(0.1, 0.5, 0.7, 0.9, 1.0)}
+    for teacher, methods in TEACHERS.items():
+        length = 3 if teacher == "stochastic" else 5
+        for rank, method in enumerate(methods):
+            levels = np.linspace(0, 0.3 + 0.2 * rank, length)
+            series["button-press", method, teacher, FULL] = curve(*levels, spread=0.1)
+    return section("noisy-teacher", series, steps=STEPS, profile=profile)
 
 
-def test_the_area_is_that_of_the_iqm_curve():
-    """AUC is the mean height of the IQM curve, and its interval comes from whole resampled curves."""
-    pebble = row(table(Sweep()), "pebble")
-    curve = [trim_mean([seed[t] for seed in RISING["pebble"]], 0.25) for t in range(4)]
-    assert pebble["auc"] == pytest.approx(np.trapezoid(curve, dx=1 / 3))
-    assert pebble["auc_low"] <= pebble["auc"] <= pebble["auc_high"]
+def row(table, **wanted):
+    found = table
+    for name, value in wanted.items():
+        found = found[found[name] == value]
+    (only,) = found.to_dict("records")
+    return only
 
 
-def test_the_kind_of_iqm_changes_the_estimate():
-    """Five seeds: rliable averages the middle three, exact weighs the second and fourth by three quarters."""
-    at_300 = sorted(seed[2] for seed in RISING["pebble"])
-    exact = (0.75 * at_300[1] + at_300[2] + 0.75 * at_300[3]) / 2.5
-    assert row(table(Sweep(), Settings(kind="exact", replicates=300)), "pebble")["iqm"] == pytest.approx(exact)
-    assert row(table(Sweep()), "pebble")["iqm"] != pytest.approx(exact)
+def test_every_published_value_is_in_a_row_of_its_own():
+    """Fifteen published values stand beside fifteen rows of ours, and the difference is ours less theirs."""
+    table = noisy_teacher.table(noisy(), QUICK)
+    assert len(table) == 15
+    assert table["published"].notna().all()
+    np.testing.assert_allclose(table["difference"], table["iqm"] - table["published"])
+    proxy = row(table, teacher="mistaken-10", method="rrm-mrn-proxy")
+    assert (proxy["published"], proxy["published_half"]) == (pytest.approx(0.988), pytest.approx(0.104))
 
 
-def test_several_success_tasks_are_pooled():
-    """The last rows pool seeds and tasks, each task at its own step, and leave DM-Control out."""
-    found = table(Sweep(tasks=("button-press", "door-open", "walker-walk")))
-    pooled = row(found, "pebble", ALL_TASKS)
-    assert pooled["iqm"] == pytest.approx(trim_mean([seed[2] for seed in RISING["pebble"]] * 2, 0.25))
-    assert (pooled["n"], pooled["planned"]) == (10, 10)
-    assert pd.isna(pooled["step"])
-    assert found["task"].iloc[-1] == ALL_TASKS
+def test_the_oracle_is_read_where_the_stochastic_runs_end():
+    """The oracle's run of 500,000 steps is read at 300,000 for the stochastic column, at its end for the others."""
+    table = noisy_teacher.table(noisy(), QUICK)
+    assert [row(table, teacher=t, method="oracle")["step"] for t in TEACHERS] == [300_000, 500_000, 500_000]
+    assert [row(table, teacher=t, method="oracle")["iqm"] for t in TEACHERS] == [pytest.approx(0.7), 1.0, 1.0]
 
 
-def test_tasks_with_schedules_of_their_own_are_pooled():
-    """A task may have its own budget; with one schedule a task there is nothing to mix up."""
-    frames = [Sweep().frames(), Sweep(tasks=("sweep-into",), feedback="50@5000/10000").frames()]
-    rows, jobs = (pd.concat(pair, ignore_index=True) for pair in zip(*frames, strict=True))
-    (section,) = sections(rows, jobs)
-    pooled = row(iqm_table(section, QUICK), "rrm-proxy", ALL_TASKS)
-    assert pooled["feedback"] == "each task's"
-    assert pooled["teacher"] == "oracle"
+def test_intervals_are_brackets_unless_the_papers_form_is_asked_for():
+    """Ours are [low, high] by default; with ± a teacher is a column, and half the interval stands behind the sign."""
+    (listed,) = noisy_teacher.make([noisy()], QUICK)
+    assert listed.grid.header[-3:] == ("n", "Paper", "Difference")
+    assert not any("±" in cell for cells in listed.grid.rows for cell in cells[:-2])
+    (matrix,) = noisy_teacher.make([noisy()], Statistics(replicates=300, plus_minus=True))
+    assert matrix.grid.header == (
+        "Method", "stochastic", "paper", "mistaken-10", "paper", "mistaken-15", "paper", "n"
+    )  # fmt: skip
+    names = [cells[0] for cells in matrix.grid.rows]
+    assert names == ["oracle", "baseline", "rrm-proxy", "rrm-language", "rrm-imitation"]
+    wanted = row(listed.table, teacher="stochastic", method="pebble")
+    half = 50 * (wanted["high"] - wanted["low"])
+    assert matrix.grid.rows[1][1:3] == (f"{100 * wanted['iqm']:.1f} ± {half:.1f}", "71.8 ± 5.3")
+    assert all(cells[-1] == "5/5" for cells in matrix.grid.rows)
 
 
-def test_a_method_missing_on_one_task_is_not_pooled():
-    """A mean over fewer tasks than the others' is no comparison and does not appear."""
-    keys = [("door-open", "pebble", seed) for seed in range(5)]
-    found = table(Sweep(tasks=("button-press", "door-open"), states=dict.fromkeys(keys, "failed")))
-    assert set(found["method"][found["task"] == ALL_TASKS]) == {"oracle", "rrm-proxy"}
-    lost = row(found, "pebble", "door-open")
-    assert (lost["n"], lost["planned"]) == (0, 5)
-    assert np.isnan(lost["iqm"])
+PAPERS_FORM = Statistics(replicates=300, plus_minus=True)
 
 
-def test_returns_are_read_at_the_last_step():
-    """DM-Control's scores are true returns at the final step."""
-    pebble = row(table(Sweep(tasks=("walker-walk",))), "pebble", "walker-walk")
-    assert (pebble["score"], pebble["step"], pebble["step_rule"]) == ("return", 400, "final")
-    assert pebble["iqm"] == pytest.approx(trim_mean([1000 * seed[3] for seed in RISING["pebble"]], 0.25))
+def test_the_papers_form_drops_no_method():
+    """Where several methods would share a row of the paper's, each has a row under its own name."""
+    names = ("pebble", "surf", "mrn", "rrm-proxy", "rrm-mrn-proxy")
+    series = {("door-open", name, "mistaken-10", FULL): curve(0.1 * at) for at, name in enumerate(names)}
+    (matrix,) = noisy_teacher.make([section("noisy-teacher", series, steps=[100])], PAPERS_FORM)
+    assert [cells[0] for cells in matrix.grid.rows] == list(names)
+    assert [cells[1].partition(" ")[0] for cells in matrix.grid.rows] == ["0.0", "10.0", "20.0", "30.0", "40.0"]
 
 
-def test_saturated_scores_are_a_point():
-    """All seeds at 100 % throughout: estimate, interval, quartiles and area are exactly one, at the first step."""
-    found = table(Sweep(curves=SATURATED))
-    assert (found[["iqm", "low", "high", "q25", "q75", "auc"]] == 1.0).all(axis=None)
-    assert set(found["step"]) == {100}
+def test_schedules_of_a_teacher_are_told_apart():
+    """A teacher who is asked under two schedules has a column for each, and in the list the schedule is named."""
+    levels = {FULL: 0.6, "5@5000/500": 0.2}
+    series = {("door-open", "pebble", "stochastic", asked): curve(level) for asked, level in levels.items()}
+    found = section("noisy-teacher", series, steps=[100])
+    (matrix,), (listed,) = (noisy_teacher.make([found], settings) for settings in (PAPERS_FORM, QUICK))
+    assert matrix.grid.header == ("Method", f"stochastic {FULL}", "paper", "stochastic 5@5000/500", "paper", "n")
+    assert matrix.grid.rows == (("baseline", "60.0 ± 0.0", "–", "20.0 ± 0.0", "–", "5/5"),)
+    assert listed.grid.header[:3] == ("Teacher", "Feedback", "Method")
+    assert [cells[1] for cells in listed.grid.rows] == list(levels)
 
 
-@pytest.mark.parametrize("seeds", [1, 2])
-def test_one_or_two_seeds_have_no_interval(seeds):
-    """Below three seeds there is an estimate and no interval."""
-    found = table(Sweep(curves={method: curve[:seeds] for method, curve in RISING.items()}))
-    assert found[["low", "high", "auc_low", "auc_high"]].isna().all(axis=None)
-    assert found["iqm"].notna().all()
+def test_the_step_of_every_task_is_told():
+    """Two tasks whose runs end apart under one teacher are both named with the step at which they are read."""
+    labels = [(task, "pebble", "stochastic", FULL) for task in ("door-open", "button-press")]
+    steps = {label: [100 * (at + 1)] for at, label in enumerate(labels)}
+    (report,) = noisy_teacher.make([section("noisy-teacher", dict.fromkeys(labels, curve(0.5)), steps=steps)], QUICK)
+    assert "Read at the last common step: door-open stochastic at 100, button-press stochastic at 200." in report.notes
 
 
-def test_a_row_depends_on_its_own_runs_alone():
-    """Adding a method changes nothing in the rows of the others, not even the last digit of their intervals."""
-    alone = table(Sweep(curves={k: RISING[k] for k in ("oracle", "rrm-proxy")}))
-    together = table(Sweep())
-    pd.testing.assert_series_equal(row(alone, "oracle"), row(together, "oracle"), check_names=False)
+def test_the_best_method_but_the_oracle_is_bold():
+    """Under each teacher the highest value of a method other than the oracle is marked, in both forms."""
+    (listed,) = noisy_teacher.make([noisy()], QUICK)
+    bold = {listed.grid.rows[at][1] for at, _ in listed.grid.best}
+    assert bold == {"rrm-imitation", "rrm-mrn-imitation"}
+    assert len(listed.grid.best) == 3
+    (matrix,) = noisy_teacher.make([noisy()], Statistics(replicates=300, plus_minus=True))
+    assert matrix.grid.best == {(4, 1), (4, 3), (4, 5)}
 
 
-def test_columns_are_as_documented():
-    """The tables have the documented columns and no others."""
-    (section,) = sections(*Sweep().frames())
-    assert tuple(iqm_table(section, QUICK).columns) == COLUMNS
-    assert tuple(curve_table(section, QUICK).columns) == CURVE_COLUMNS
+@pytest.mark.parametrize("kind", [iqm, final])
+def test_a_variant_of_the_oracle_is_never_bold(kind):
+    """oracle-bfloat16 knows the true reward as well: the best of those that do not is marked."""
+    ends = {"oracle": 1.0, "oracle-bfloat16": 1.0, "pebble": 0.4, "pebble-bfloat16": 0.3}
+    asked = {name: ("-", "-") if name.startswith("oracle") else ("oracle", FULL) for name in ends}
+    series = {("button-press", name, *asked[name]): curve(0.1, end) for name, end in ends.items()}
+    (report,) = kind.make([section("precision", series, steps=[100, 200])], QUICK)
+    at = report.grid.header.index("Method")
+    assert [report.grid.rows[row][at] for row, _ in report.grid.best] == ["pebble"]
 
 
-def test_curves_are_kept_as_parquet(tmp_path):
-    """The aggregated file has one row per series and step, plain types, and NaN where there is no interval."""
-    short = Sweep(curves=RISING | {"pebble": RISING["pebble"][:2]})
-    (section,) = sections(*short.frames())
-    aggregates.write(Layout(tmp_path), [section], QUICK)
-    read = pd.read_parquet(tmp_path / "aggregates" / "main-results.parquet")
-    assert len(read) == 3 * 4
-    pebble = read[read["method"] == "pebble"]
-    assert pebble["iqm"].tolist() == [np.mean([seed[t] for seed in RISING["pebble"][:2]]) for t in range(4)]
-    assert pebble["low"].isna().all()
-    assert set(read["iqm_kind"]) == {"rliable"}
-    assert read["step"].dtype == np.int64
-    assert [path.name for path in (tmp_path / "aggregates").iterdir()] == ["main-results.parquet"]
+def test_other_experiments_have_no_table_of_teachers_who_err():
+    """Where nobody errs, the message says which experiment is meant."""
+    plain = section("main-results", {("button-press", "pebble", "oracle", FULL): curve(1.0)}, steps=[100])
+    with pytest.raises(NoDataError, match="no runs under a teacher who errs"):
+        noisy_teacher.make([plain], QUICK)
+
+
+def test_the_last_step_is_read_with_its_interval():
+    """`final` is the IQM of the last step, with the quartiles of the seeds."""
+    values = curve(0.0, 0.5, spread=0.3, seeds=8)
+    table = final.table(section("toy", {("toy-car", "pebble", "oracle", FULL): values}, steps=[100, 200]), QUICK)
+    found = row(table, method="pebble")
+    assert (found["step"], found["n"], found["iqm"]) == (200, 8, pytest.approx(trim_mean(values[:, 1], 0.25)))
+    assert found["low"] < found["q25"] + 0.1 < found["iqm"] < found["high"]
+
+
+def little(tasks=("button-press", "door-open"), methods=("pebble", "rrm-proxy"), schedules=(FULL, "5@5000/500")):
+    series = {}
+    for t, task in enumerate(tasks):
+        for m, method in enumerate(methods):
+            for f, feedback in enumerate(schedules):
+                series[task, method, "oracle", feedback] = curve(0.1 * t, 0.5 + 0.2 * m - 0.3 * f, 0.8, spread=0.1)
+    return section("less-feedback", series, steps=[100, 200, 300])
+
+
+def test_a_budget_is_the_mean_of_the_iqm_over_the_evaluations():
+    """Each point is the mean over the evaluation steps of the IQM over seeds; all tasks together are their mean."""
+    found = little()
+    table = less_feedback.table(found, QUICK)
+    one = row(table, task="door-open", method="pebble", feedback="5@5000/500")
+    values = next(s for s in found.series if s.label[:2] == ("door-open", "pebble") and "5@5000/500" in s.label).values
+    assert one["mean_iqm"] == pytest.approx(trim_mean(values, 0.25, axis=0).mean())
+    assert (one["evaluations"], one["first_step"], one["last_step"], one["n"]) == (3, 100, 300, 5)
+    each = table[(table["method"] == "pebble") & (table["feedback"] == "5@5000/500")]
+    pooled = each[each["task"] == less_feedback.ALL_TASKS].iloc[0]
+    assert pooled["mean_iqm"] == pytest.approx(each[each["task"] != less_feedback.ALL_TASKS]["mean_iqm"].mean())
+    assert pooled["low"] < pooled["mean_iqm"] < pooled["high"]
+    assert pooled["n"] == 10
+
+
+def test_few_seeds_of_each_task_are_said_to_be_few():
+    """Three tasks of two seeds are six runs and no interval: what is few is a task's seeds, not the six."""
+    names = ("button-press", "door-open", "door-unlock")
+    series = {(t, "pebble", "oracle", asked): curve(0.5, seeds=2) for t in names for asked in (FULL, "5@5000/500")}
+    (little_,) = less_feedback.make([section("less-feedback", series, steps=[100])], QUICK)
+    assert little_.grid.rows[0][2:] == ("50.0 % n < 3 on a task", "6/6")
+    assert little_.grid.rows[2][2:] == ("50.0 % n < 3", "2/2")
+    full = {label: values for label, values in series.items() if label[3] == FULL}
+    (pooled,) = iqm.make([section("main-results", full, steps=[100])], QUICK)
+    assert pooled.grid.rows[-1][0] == ALL_TASKS
+    assert "n < 3 on a task" in pooled.grid.rows[-1]
+
+
+@pytest.mark.parametrize("steps", [[100], [100, 200]])
+def test_tasks_are_averaged_however_many_evaluations_they_share(steps):
+    """Three tasks at 100 % and one at 0 % are 75 %, also where one evaluation is all that they have."""
+    series = {
+        (task, "pebble", "oracle", feedback): curve(*[float(at < 3)] * len(steps), seeds=10)
+        for at, task in enumerate(("button-press", "door-open", "door-unlock", "window-open"))
+        for feedback in (FULL, "5@5000/500")
+    }
+    table = less_feedback.table(section("less-feedback", series, steps=steps), QUICK)
+    assert table[table["task"] == less_feedback.ALL_TASKS]["mean_iqm"].tolist() == [0.75, 0.75]
+
+
+def test_the_mean_over_tasks_is_surer_than_one_task():
+    """Its interval comes from resampling every task on its own, so that independent deviations even out."""
+    table = less_feedback.table(little(), Statistics(replicates=2000))
+    width = (table["high"] - table["low"]).groupby(table["task"] == less_feedback.ALL_TASKS).mean()
+    assert 0.55 < width[True] / width[False] < 0.85  # the square root of a half, were they normal
+
+
+def test_budgets_are_rows_and_methods_columns():
+    """The grid has a column for each method, the best of a row in bold, and n."""
+    (report,) = less_feedback.make([little()], QUICK)
+    assert report.grid.header == ("Task", "Feedback", "pebble", "rrm-proxy", "n")
+    assert len(report.grid.rows) == 6
+    assert report.grid.best == {(at, 3) for at in range(6)}
+    assert report.grid.rows[0][-1] == "10/10"
+
+
+def test_a_task_without_a_second_schedule_is_left_out():
+    """Only tasks asked about by several schedules are in the table; without any there is none."""
+    with pytest.raises(NoDataError, match="several schedules"):
+        less_feedback.make([little(schedules=(FULL,))], QUICK)
+
+
+def deployed(profile="paper", length=10):
+    series, steps = {}, {}
+    for task, method in (("panda-reach", "rrm-1d"), ("panda-push", "rrm-h2o"), ("panda-pick-and-reach", "rrm-h2o")):
+        for rank, name in enumerate(("pebble", method)):
+            label = (task, name, "oracle", FULL)
+            series[label] = curve(*np.linspace(0, 0.5 + 0.4 * rank, length), spread=0.05)
+            whole = (150_000 if task == "panda-reach" else 1_000_000) // (1 if profile == "paper" else 5)
+            steps[label] = [whole * (at + 1) // 10 for at in range(10)]
+    return section("sim-to-real", series, steps=steps, profile=profile)
+
+
+def test_checkpoints_stand_beside_the_physical_robots(robot):
+    """Each task and method has three checkpoints with success and return, all published, with the difference."""
+    table = sim_to_real.table(deployed(), QUICK)
+    assert len(table) == 6 * 3 * 2
+    assert table["published"].notna().all()
+    push = row(table, task="panda-push", method="rrm-h2o", paper_step=600_000, score="return")
+    assert (push["step"], push["published"]) == (600_000, -16.8)
+    assert push["difference"] == pytest.approx(push["iqm"] + 16.8)
+    reach = table[(table["task"] == "panda-reach") & (table["method"] == "pebble") & (table["score"] == "success")]
+    assert list(reach["step"]) == [45_000, 90_000, 150_000]  # the last evaluations up to 50, 100 and 150 thousand
+
+
+def test_shorter_profiles_are_read_at_the_same_share(robot):
+    """A training of a fifth of the length is read at a fifth of the steps."""
+    table = sim_to_real.table(deployed(profile="laptop"), QUICK)
+    assert set(table[table["task"] == "panda-push"]["step"]) == {80_000, 120_000, 160_000}
+
+
+def test_checkpoints_that_are_not_reached_are_left_open(robot):
+    """Runs under way give the checkpoints that they have passed, with n 0 for the others."""
+    table = sim_to_real.table(deployed(length=5), QUICK)
+    push = table[(table["task"] == "panda-push") & (table["score"] == "success") & (table["method"] == "pebble")]
+    assert list(push["n"]) == [5, 0, 0]
+    assert push["iqm"].isna().tolist() == [False, True, True]
+
+
+def test_evaluations_that_are_not_a_number_are_passed_over(robot):
+    """A checkpoint is read at the evaluation before; runs without any number leave theirs open, in every profile."""
+    label, whole = ("panda-push", "pebble", "oracle", FULL), [200_000 * (at + 1) for at in range(5)]
+    values = curve(0.1, 0.2, 0.3, 0.4, 0.5)
+    values[0, 2] = np.nan
+    steps = [each // 5 for each in whole]
+    found = section("sim-to-real", {label: {"success": values, "true_return": values}}, steps=steps, profile="laptop")
+    assert list(sim_to_real.table(found, QUICK).query("score == 'success'")["step"]) == [80_000, 80_000, 160_000]
+    for profile in ("laptop", "paper"):
+        nothing = section("sim-to-real", {label: np.full((5, 5), np.nan)}, steps=whole, profile=profile)
+        assert list(sim_to_real.table(nothing, QUICK)["n"]) == [0] * 6
+
+
+def test_the_robots_grid_has_both_scores(robot):
+    """Success and return stand beside one another with the paper's value and the difference; n is in every row."""
+    (report,) = sim_to_real.make([deployed()], QUICK)
+    assert report.grid.header[4:] == (
+        "Success", "Success, 95 %", "Success, paper", "Return", "Return, 95 %", "Return, paper", "n"
+    )  # fmt: skip
+    assert len(report.grid.rows) == 18
+    assert [cells[:3] for cells in report.grid.rows[:2]] == [
+        ("panda-reach", "50,000", "pebble"),
+        ("panda-reach", "50,000", "rrm-1d"),
+    ]
+    assert len(report.grid.best) == 18  # the better one of each checkpoint, for both scores
+
+
+def test_the_robots_oracle_is_not_bold(robot):
+    """A policy trained on the true reward stands in the table, outside of the comparison."""
+    labels = [("panda-push", "oracle", "-", "-"), ("panda-push", "pebble", "oracle", FULL)]
+    series = {label: curve(0.5, 1.0 - 0.5 * at) for at, label in enumerate(labels)}
+    (report,) = sim_to_real.make([section("sim-to-real", series, steps=[600_000, 1_000_000])], QUICK)
+    assert {report.grid.rows[row][2] for row, _ in report.grid.best} == {"pebble"}
+
+
+def test_a_store_without_the_robot_says_so():
+    """Without runs of the robot's tasks there is no table, and the message names them."""
+    plain = section("main-results", {("button-press", "pebble", "oracle", FULL): curve(1.0)}, steps=[100])
+    with pytest.raises(NoDataError, match="panda-reach"):
+        sim_to_real.make([plain], QUICK)
+
+
+def test_published_values_are_percentages_and_complete():
+    """Every success is a percentage, each robot task has three checkpoints for two methods, and sources are named."""
+    told = tomllib.loads(published.PATH.read_text())
+    assert {told[name]["source"] for name in told} == {"Tab. wrongiqm1", "Tab. realiqm"}
+    for methods in told["noisy-teacher"]["button-press"].values():
+        assert all(0 <= value <= 100 and half > 0 for value, half in methods.values())
+        assert len(methods) == 5
+    for task in published.deployed_tasks():
+        methods = {name: value for name, value in told["sim-to-real"][task].items() if isinstance(value, dict)}
+        assert len(methods) == 2
+        assert all(len(each["success"]) == len(each["return"]) == 3 for each in methods.values())
+
+
+def test_nothing_of_ours_comes_from_the_paper(monkeypatch):
+    """Without the published values every number of ours is the same."""
+    before = noisy_teacher.table(noisy(), QUICK)
+    monkeypatch.setattr(published, "final", lambda *_: None)
+    after = noisy_teacher.table(noisy(), QUICK)
+    assert after["published"].isna().all()
+    ours = ["teacher", "method", "step", "iqm", "low", "high", "n"]
+    pd.testing.assert_frame_equal(before[ours], after[ours])
+
+
+def test_everything_at_once_leaves_out_what_there_is_no_data_for():
+    """`all` holds every table of the data and names each one's kind; tables of other data are left out."""
+    made = everything.make([noisy(), little()], QUICK)
+    kinds = [report.facts["table"] for report in made]
+    assert set(kinds) == {"claims", "final", "iqm", "less-feedback", "noisy-teacher", "power"}
+    assert kinds.count("noisy-teacher") == 1
+
+
+def test_the_docs_name_every_fact():
+    """What stands beside the rows of csv and json is in docs/reports.md, between backticks."""
+    text = (Path(__file__).parents[3] / "docs" / "reports.md").read_text(encoding="utf-8")
+    named = set(re.findall(r"\w+", " ".join(re.findall(r"`([^`\n]*)`", text.replace("\n", " ")))))
+    told = {fact for report in everything.make([noisy(), little()], QUICK) for fact in report.facts}
+    assert told - named == set()
+
+
+def test_a_section_that_cannot_be_compared_keeps_no_other_back():
+    """Methods without a common step cost their own table, which says why, and nothing else."""
+    labels = [("button-press", name, "oracle", FULL) for name in ("pebble", "rrm-proxy")]
+    apart = section(
+        "other", dict.fromkeys(labels, curve(0.1, 0.2)), steps=dict(zip(labels, ([1, 2], [3, 4]), strict=True))
+    )
+    with pytest.raises(UserError, match="no evaluation step is common"):
+        final.make([apart, little()], QUICK)
+    made = [report for report in everything.make([apart, little()], QUICK) if report.facts["table"] == "final"]
+    assert "no evaluation step is common" in made[0].notes[0]
+    assert len(made[1].table) == 8
+    for form in FORMATS:
+        assert "no evaluation step is common" in " ".join(to_text(made, form).split()), form
+    assert "|  |" not in to_text(made, "markdown")
+    rows = pd.read_csv(io.StringIO(to_text(made, "csv")))
+    assert len(rows) == 9
+    assert rows["problems"].str.contains("no evaluation step is common").sum() == 1
+
+
+GOLDEN = Path(__file__).with_name("golden")
+RECORDED = {
+    "noisy-teacher": lambda: noisy_teacher.make([noisy(profile="laptop")], QUICK),
+    "noisy-teacher-plus-minus": lambda: noisy_teacher.make([noisy()], Statistics(replicates=300, plus_minus=True)),
+    "less-feedback": lambda: less_feedback.make([little()], QUICK),
+    "sim-to-real": lambda: sim_to_real.make([deployed()], QUICK),
+    "final": lambda: final.make([little(schedules=(FULL,))], QUICK),
+    "claims": lambda: claims.make([noisy()], QUICK),
+}
+
+
+@pytest.mark.parametrize(("form", "suffix"), [("markdown", "md"), ("latex", "tex"), ("terminal", "txt")])
+@pytest.mark.parametrize("name", RECORDED)
+def test_text_is_as_recorded(name, form, suffix, robot):
+    """The text of every kind is that of the golden file, to the byte."""
+    assert to_text(RECORDED[name](), form) == (GOLDEN / f"{name}.{suffix}").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize("name", RECORDED)
+def test_values_are_as_recorded(name, robot):
+    """CSV and JSON of every kind are the golden files', but for the last digits of a processor's sums."""
+
+    def rounded(text):
+        return json.loads(text, parse_float=lambda digits: round(float(digits), 9))
+
+    reports = RECORDED[name]()
+    found, wanted = (pd.read_csv(each) for each in (io.StringIO(to_text(reports, "csv")), GOLDEN / f"{name}.csv"))
+    pd.testing.assert_frame_equal(found, wanted, rtol=1e-9)
+    recorded = (GOLDEN / f"{name}.json").read_text(encoding="utf-8")
+    assert rounded(to_text(reports, "json")) == rounded(recorded)

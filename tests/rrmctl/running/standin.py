@@ -22,15 +22,15 @@ from typing import Any
 
 from rrm.config import EvaluationConfig, ExplorationConfig, RewardConfig
 from rrm.errors import PriorError, WaitingError
-from rrm.training.config import RunConfig
+from rrm.training.run_config import RunConfig
 from rrm.types import EvalRow
-from rrmctl.running import lifeline, worker
+from rrmctl.running import parent_link, worker
+from rrmctl.running.config_file import config_content
 from rrmctl.running.monitor import RunMonitor
-from rrmctl.running.pool import Assignment
-from rrmctl.running.runfile import config_content
+from rrmctl.running.supervisor import Assignment
 from rrmctl.store import lease, owner
 from rrmctl.store.layout import Layout, RunFolder
-from rrmctl.store.records import record_config
+from rrmctl.store.status import record_config
 from rrmctl.store.sweeps import JobRecord, SweepRecord, record_sweep
 
 COMMAND = (sys.executable, __file__)
@@ -166,5 +166,5 @@ def misbehave(behaviour: str, folder: Path, monitor: RunMonitor) -> None:
 
 if __name__ == "__main__":
     # Orphans that hang are ended the sooner: this signal's number is 10, for as many seconds.
-    lifeline._ORPHANED, lifeline._GRACE_S = signal.SIGUSR1, 30.0
+    parent_link._ORPHANED, parent_link._GRACE_S = signal.SIGUSR1, 30.0
     sys.exit(worker.main(trainer=Trainer()))

@@ -9,10 +9,10 @@ from pathlib import Path
 
 from rrmctl.errors import Exit
 from rrmctl.running.executor import Ended, Evaluated, Event, Note, Started, WorkOrder
-from rrmctl.running.pool import Pool
-from rrmctl.running.scheduler import Ending, Outcome, Phase
+from rrmctl.running.scheduler import Ending, Outcome, Stage
+from rrmctl.running.supervisor import Supervisor
 from rrmctl.store.layout import Layout
-from rrmctl.store.records import ErrorKind, RunError, State, Status, read_status, write_status
+from rrmctl.store.status import ErrorKind, RunError, RunState, Status, read_status, write_status
 from tests.rrmctl.running.standin import prepare
 from tests.rrmctl.running.test_pool import Record
 
@@ -39,7 +39,7 @@ class Threads:
         self._events.put(Note(run, threading.current_thread().name))
         if not crashes:
             self._events.put(Evaluated(run, 40, 1.0, 1.0))
-            write_status(self.layout.run(run), Status(state=State.DONE, attempt=number, step=40, steps=40))
+            write_status(self.layout.run(run), Status(state=RunState.DONE, attempt=number, step=40, steps=40))
         self._events.put(Ended(run, CRASH if crashes else Outcome(Ending.DONE)))
 
     def events(self, wait_s: float) -> Iterator[Event]:
@@ -66,10 +66,10 @@ def test_threads_can_run_a_sweep(tmp_path: Path) -> None:
     """All end, the one that crashed was tried again behind the others, and every event reached the watcher."""
     layout, assigned = prepare(tmp_path, range(4))
     executor, watcher = Threads(layout, assigned[0].id), Record()
-    pool = Pool(layout=layout, assignments=assigned, slots=2, watcher=watcher, executor=executor)
+    pool = Supervisor(layout=layout, assignments=assigned, slots=2, watcher=watcher, executor=executor)
     assert pool.run() is Exit.DONE
     assert [order.run for order in executor.orders] == [*(job.id for job in assigned), assigned[0].id]
-    assert set(watcher.phases.values()) == {Phase.DONE}
+    assert set(watcher.phases.values()) == {Stage.DONE}
     assert len(watcher.notes) == 5
     assert watcher.errors == ["RuntimeError: boom"]
-    assert all(read_status(layout.run(job.id)).state is State.DONE for job in assigned)
+    assert all(read_status(layout.run(job.id)).state is RunState.DONE for job in assigned)

@@ -15,11 +15,11 @@ from pathlib import Path
 import pytest
 
 from rrmctl.errors import Exit
-from rrmctl.running.scheduler import Outcome, Phase
-from rrmctl.store.atomic import is_locked, try_lock
+from rrmctl.running.scheduler import Outcome, Stage
+from rrmctl.store.files import is_locked, try_lock
 from rrmctl.store.layout import RunFolder
 from rrmctl.store.owner import read_beat
-from rrmctl.store.records import State, read_status
+from rrmctl.store.status import RunState, read_status
 from tests.rrmctl.running.standin import expected, live_on, prepare
 from tests.rrmctl.running.test_pool import (
     PARENT,
@@ -49,9 +49,9 @@ class Counting(Record):
 
     def __init__(self) -> None:
         super().__init__()
-        self.ends: Counter[Phase] = Counter()
+        self.ends: Counter[Stage] = Counter()
 
-    def ended(self, job: str, outcome: Outcome, phase: Phase) -> None:
+    def ended(self, job: str, outcome: Outcome, phase: Stage) -> None:
         super().ended(job, outcome, phase)
         self.ends[phase] += 1
 
@@ -111,13 +111,13 @@ def test_a_run_whose_owner_has_not_begun_is_waited_for_without_processes(tmp_pat
     watcher = Counting()
 
     def release() -> None:
-        until(lambda: watcher.ends[Phase.ELSEWHERE] > 0)
+        until(lambda: watcher.ends[Stage.ELSEWHERE] > 0)
         time.sleep(6.0)
         os.close(lock)
 
     with meanwhile(release):
         assert pool(layout, assigned, watcher).run() is Exit.DONE
-    assert watcher.ends == {Phase.ELSEWHERE: 1, Phase.DONE: 1}
+    assert watcher.ends == {Stage.ELSEWHERE: 1, Stage.DONE: 1}
 
 
 def test_an_owner_stopped_in_a_write_is_asked_after_once_a_lease(tmp_path: Path) -> None:
@@ -140,7 +140,7 @@ def test_an_owner_stopped_in_a_write_is_asked_after_once_a_lease(tmp_path: Path)
         assert pool(layout, assigned, watcher, lease_s=3.0).run() is Exit.DONE
     said = len([note for note in watcher.notes if "sign of life" in note])
     assert 2 <= said <= (time.monotonic() - began) / 3.0
-    assert watcher.ends[Phase.ELSEWHERE] <= said + 1
+    assert watcher.ends[Stage.ELSEWHERE] <= said + 1
 
 
 def test_the_runs_of_another_machine_are_taken_over_when_it_is_dead(
@@ -167,7 +167,7 @@ def test_the_runs_of_another_machine_are_taken_over_when_it_is_dead(
 
         with meanwhile(kill):
             assert pool(layout, assigned, watcher, lease_s=3.0).run() is Exit.DONE
-    assert seen == [State.RUNNING, State.RUNNING, 1, 1, Phase.ELSEWHERE, Phase.ELSEWHERE]
+    assert seen == [RunState.RUNNING, RunState.RUNNING, 1, 1, Stage.ELSEWHERE, Stage.ELSEWHERE]
     assert len([note for note in watcher.notes if "sign of life" in note]) >= 2
     assert attempts(layout, assigned) == [2, 2]
     assert rows(tmp_path) == expected(range(2))

@@ -7,8 +7,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rrmctl.errors import Exit
-from rrmctl.running.scheduler import KILLED_RETRIES, Ending, Outcome, Phase, Scheduler
-from rrmctl.store.records import ErrorKind, RunError
+from rrmctl.running.scheduler import KILLED_RETRIES, Ending, Outcome, Scheduler, Stage
+from rrmctl.store.status import ErrorKind, RunError
 
 DONE, STOPPED, ELSEWHERE = (Outcome(ending) for ending in (Ending.DONE, Ending.STOPPED, Ending.ELSEWHERE))
 
@@ -29,7 +29,7 @@ def test_no_more_jobs_run_than_there_are_slots() -> None:
     """A slot that becomes free takes the next job in order."""
     scheduler = Scheduler("abcd", slots=2)
     assert start_all(scheduler) == ["a", "b"]
-    assert scheduler.end("a", DONE) is Phase.DONE
+    assert scheduler.end("a", DONE) is Stage.DONE
     assert start_all(scheduler) == ["c"]
     assert not scheduler.finished
 
@@ -61,7 +61,7 @@ def test_a_file_that_is_missing_stops_its_run_alone() -> None:
     """Neither failed nor tried again; the others run, and the sweep is incomplete."""
     scheduler = Scheduler("abc", slots=1, requires={"c": ["a"]})
     assert start_all(scheduler) == ["a"]
-    assert scheduler.end("a", failed(ErrorKind.MISSING)) is Phase.STOPPED
+    assert scheduler.end("a", failed(ErrorKind.MISSING)) is Stage.STOPPED
     assert start_all(scheduler) == ["b"]
     scheduler.end("b", DONE)
     assert scheduler.finished
@@ -72,7 +72,7 @@ def test_a_mistake_is_not_tried_again() -> None:
     """The same configuration would fail in the same way."""
     scheduler = Scheduler("a", slots=1)
     start_all(scheduler)
-    assert scheduler.end("a", failed(ErrorKind.REFUSED)) is Phase.FAILED
+    assert scheduler.end("a", failed(ErrorKind.REFUSED)) is Stage.FAILED
     assert scheduler.exit_code() is Exit.FAILED
 
 
@@ -82,12 +82,12 @@ def test_progress_forgives_crashes() -> None:
     for rows in range(10):
         start_all(scheduler)
         scheduler.resumed("a", rows)
-        assert scheduler.end("a", failed(ErrorKind.CRASHED)) is Phase.WAITING
+        assert scheduler.end("a", failed(ErrorKind.CRASHED)) is Stage.WAITING
     for _ in range(2):
         start_all(scheduler)
         scheduler.resumed("a", 9)
         last = scheduler.end("a", failed(ErrorKind.CRASHED))
-    assert last is Phase.FAILED
+    assert last is Stage.FAILED
 
 
 def test_being_killed_is_not_the_job_s_fault() -> None:
@@ -95,8 +95,8 @@ def test_being_killed_is_not_the_job_s_fault() -> None:
     scheduler = Scheduler("a", slots=1)
     for _ in range(2 * KILLED_RETRIES):
         start_all(scheduler)
-        assert scheduler.end("a", failed(ErrorKind.KILLED)) is Phase.WAITING
-    for expected in (Phase.WAITING, Phase.WAITING, Phase.FAILED):
+        assert scheduler.end("a", failed(ErrorKind.KILLED)) is Stage.WAITING
+    for expected in (Stage.WAITING, Stage.WAITING, Stage.FAILED):
         start_all(scheduler)
         assert scheduler.end("a", failed(ErrorKind.CRASHED)) is expected
 
@@ -105,7 +105,7 @@ def test_a_full_disk_stops_the_sweep_without_failing_anything() -> None:
     """No job starts into it, running ones may try to end, and the command can be repeated."""
     scheduler = Scheduler("abc", slots=2)
     start_all(scheduler)
-    assert scheduler.end("a", failed(ErrorKind.STORAGE)) is Phase.STOPPED
+    assert scheduler.end("a", failed(ErrorKind.STORAGE)) is Stage.STOPPED
     assert scheduler.next() is None
     assert not scheduler.finished
     scheduler.end("b", DONE)
@@ -128,7 +128,7 @@ def test_a_job_elsewhere_takes_no_slot_and_is_waited_for() -> None:
     """It may be finished there, or be given up and start here before all others."""
     scheduler = Scheduler("abc", slots=1)
     start_all(scheduler)
-    assert scheduler.end("a", ELSEWHERE) is Phase.ELSEWHERE
+    assert scheduler.end("a", ELSEWHERE) is Stage.ELSEWHERE
     assert scheduler.elsewhere == ["a"]
     assert start_all(scheduler) == ["b"]
     scheduler.end("b", ELSEWHERE)
@@ -146,10 +146,10 @@ def test_a_job_elsewhere_takes_no_slot_and_is_waited_for() -> None:
 def test_what_failed_elsewhere_is_not_tried_again() -> None:
     """There it was tried as often as it should be, and here it may not even have been begun."""
     scheduler = Scheduler("ab", slots=1)
-    assert scheduler.end("a", failed(ErrorKind.CRASHED)) is Phase.FAILED
+    assert scheduler.end("a", failed(ErrorKind.CRASHED)) is Stage.FAILED
     start_all(scheduler)
     scheduler.end("b", ELSEWHERE)
-    assert scheduler.end("b", failed(ErrorKind.CRASHED)) is Phase.FAILED
+    assert scheduler.end("b", failed(ErrorKind.CRASHED)) is Stage.FAILED
     assert scheduler.exit_code() is Exit.FAILED
 
 
@@ -180,8 +180,8 @@ def test_whatever_happens_every_job_ends_in_one_phase(data: st.DataObject, jobs:
             scheduler.end(job, DONE)
     assert scheduler.finished
     counts = scheduler.counts()
-    incomplete = counts[Phase.STOPPED] + counts[Phase.WAITING] + counts[Phase.ELSEWHERE]
-    expected = Exit.INCOMPLETE if incomplete else Exit.FAILED if counts[Phase.FAILED] else Exit.DONE
+    incomplete = counts[Stage.STOPPED] + counts[Stage.WAITING] + counts[Stage.ELSEWHERE]
+    expected = Exit.INCOMPLETE if incomplete else Exit.FAILED if counts[Stage.FAILED] else Exit.DONE
     assert expected is scheduler.exit_code()
 
 
@@ -200,12 +200,12 @@ def test_what_needs_a_failed_job_is_blocked() -> None:
     """Down the whole chain, once each; the rest goes on, and the exit code says that something failed."""
     scheduler = Scheduler("abcde", slots=1, requires={"b": "a", "c": "ab", "d": "c"})
     assert start_all(scheduler) == ["a"]
-    assert scheduler.end("a", failed(ErrorKind.REFUSED)) is Phase.FAILED
+    assert scheduler.end("a", failed(ErrorKind.REFUSED)) is Stage.FAILED
     assert sorted(scheduler.block("a")) == ["b", "c", "d"]
     assert start_all(scheduler) == ["e"]
     scheduler.end("e", DONE)
     assert scheduler.finished
-    assert scheduler.counts() == {Phase.FAILED: 1, Phase.BLOCKED: 3, Phase.DONE: 1}
+    assert scheduler.counts() == {Stage.FAILED: 1, Stage.BLOCKED: 3, Stage.DONE: 1}
     assert scheduler.exit_code() is Exit.FAILED
 
 

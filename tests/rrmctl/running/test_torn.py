@@ -11,14 +11,14 @@ import pytest
 
 from rrm.config import AgentConfig, EvaluationConfig, ExplorationConfig, FeedbackConfig, RewardConfig
 from rrm.training import jobs
-from rrm.training.config import RunConfig
+from rrm.training.run_config import RunConfig
+from rrmctl.running.config_file import config_content
 from rrmctl.running.monitor import RunMonitor
-from rrmctl.running.runfile import config_content
 from rrmctl.running.worker import WorkerExit, main
 from rrmctl.store.layout import Layout, RunFolder
 from rrmctl.store.reader import read_curve
-from rrmctl.store.records import record_config
 from rrmctl.store.schema import TIMINGS
+from rrmctl.store.status import record_config
 
 pytestmark = pytest.mark.slow
 

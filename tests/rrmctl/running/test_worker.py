@@ -13,18 +13,18 @@ from typing import ClassVar
 
 import pytest
 
-from rrm.config import FeedbackConfig, ImitationConfig, RewardConfig, Section
+from rrm.config import ConfigSection, FeedbackConfig, ImitationConfig, RewardConfig
 from rrm.envs.tasks import TASKS, Task
-from rrm.training.config import RunConfig
 from rrm.training.kinds import JOBS, JobKind
+from rrm.training.run_config import RunConfig
+from rrmctl.running.config_file import config_content, load_config
 from rrmctl.running.monitor import RunMonitor
-from rrmctl.running.runfile import config_content, load_config
 from rrmctl.running.worker import WorkerExit, main
-from rrmctl.store import provenance, shape
-from rrmctl.store.atomic import is_locked, try_lock
+from rrmctl.store import provenance, validation
+from rrmctl.store.files import is_locked, try_lock
 from rrmctl.store.layout import Layout, RunFolder
 from rrmctl.store.reader import read_curve
-from rrmctl.store.records import ErrorKind, State, Status, read_status, record_config, write_status
+from rrmctl.store.status import ErrorKind, RunState, Status, read_status, record_config, write_status
 from tests.rrmctl.running.standin import Trainer, config, prepare
 
 
@@ -48,7 +48,7 @@ def refusal(folder: RunFolder) -> str:
     """Why the worker refuses the run, as its status tells."""
     assert work(folder) is WorkerExit.REFUSED
     status = read_status(folder)
-    assert status.state in (State.FAILED, State.INTERRUPTED)
+    assert status.state in (RunState.FAILED, RunState.INTERRUPTED)
     assert status.error is not None
     assert status.error.kind in (ErrorKind.REFUSED, ErrorKind.DAMAGED)
     return status.error.message
@@ -59,7 +59,7 @@ def test_a_run_from_start_to_end(folder: RunFolder, capsys: pytest.CaptureFixtur
     assert work(folder) is WorkerExit.DONE
     assert steps(folder) == [10, 20, 30, 40]
     status = read_status(folder)
-    assert (status.state, status.attempt, status.step, status.steps, status.rows) == (State.DONE, 1, 40, 40, 4)
+    assert (status.state, status.attempt, status.step, status.steps, status.rows) == (RunState.DONE, 1, 40, 40, 4)
     assert (status.success, status.true_return) == (0.5, 40.0)
     assert not is_locked(folder.lock)
     assert [line.split(", process")[0] for line in capsys.readouterr().out.splitlines()] == [
@@ -90,7 +90,7 @@ def test_a_removal_that_was_cut_short_is_completed(folder: RunFolder) -> None:
     """A worker that died while it removed the old run does not make the next one go on with the rest of it."""
     work(folder)
     folder.curve.unlink()
-    write_status(folder, dataclasses.replace(read_status(folder), state=State.RUNNING, discard=True))
+    write_status(folder, dataclasses.replace(read_status(folder), state=RunState.RUNNING, discard=True))
     assert work(folder) is WorkerExit.DONE
     assert steps(folder) == [10, 20, 30, 40]
 
@@ -100,10 +100,10 @@ def test_a_worker_that_died_just_before_saying_done_is_not_repeated(
 ) -> None:
     """The last row and the networks are there: the run is over."""
     work(folder)
-    write_status(folder, dataclasses.replace(read_status(folder), state=State.RUNNING))
+    write_status(folder, dataclasses.replace(read_status(folder), state=RunState.RUNNING))
     capsys.readouterr()
     assert work(folder) is WorkerExit.DONE
-    assert read_status(folder).state is State.DONE
+    assert read_status(folder).state is RunState.DONE
     assert "from step" not in capsys.readouterr().out
 
 
@@ -134,7 +134,7 @@ def test_a_configuration_that_is_gone_or_damaged_is_not_the_runs_end(
     content = json.loads(folder.config.read_text())
     damage(folder.config)
     assert work(folder) is WorkerExit.REFUSED
-    assert read_status(folder).state in (State.QUEUED, State.INTERRUPTED)
+    assert read_status(folder).state in (RunState.QUEUED, RunState.INTERRUPTED)
     record_config(folder, {name: value for name, value in content.items() if name != "checksum"})
     assert work(folder) is WorkerExit.DONE
     assert read_status(folder).error is None
@@ -146,7 +146,7 @@ def test_what_changed_since_the_last_attempt_is_said(
     """Resuming in another environment goes on, and names both environments in log and provenance."""
     work(folder)
     folder.model.unlink()
-    write_status(folder, dataclasses.replace(read_status(folder), state=State.INTERRUPTED))
+    write_status(folder, dataclasses.replace(read_status(folder), state=RunState.INTERRUPTED))
     monkeypatch.setenv("STANDIN_WORLD", "2")
     work(folder)
     assert "differs from the attempt before: fingerprint.toy-car: 1 -> 2" in capsys.readouterr().out
@@ -162,7 +162,7 @@ def test_a_damaged_file_is_set_aside_and_the_run_goes_on(
     work(folder)
     for number in (1, 2):
         folder.model.unlink()
-        write_status(folder, dataclasses.replace(read_status(folder), state=State.INTERRUPTED))
+        write_status(folder, dataclasses.replace(read_status(folder), state=RunState.INTERRUPTED))
         torn = (folder.path / name).read_bytes()[:-9]
         (folder.path / name).write_bytes(torn)
         capsys.readouterr()
@@ -171,7 +171,7 @@ def test_a_damaged_file_is_set_aside_and_the_run_goes_on(
         assert f"set aside as {aside}" in capsys.readouterr().out
         assert (folder.path / aside).read_bytes() == torn
         assert steps(folder) == [10, 20, 30, 40]
-        assert read_status(folder).state is State.DONE
+        assert read_status(folder).state is RunState.DONE
 
 
 def test_a_run_of_another_version_is_refused_and_left_as_it_is(
@@ -180,7 +180,7 @@ def test_a_run_of_another_version_is_refused_and_left_as_it_is(
     """It is whole, and for another program: nothing is set aside or trained again."""
     work(folder)
     before = {path.name: path.read_bytes() for path in folder.path.iterdir() if path.is_file()}
-    monkeypatch.setattr(shape, "SCHEMA_VERSION", 2)
+    monkeypatch.setattr(validation, "SCHEMA_VERSION", 2)
     assert work(folder) is WorkerExit.REFUSED
     assert {path.name: path.read_bytes() for path in folder.path.iterdir() if path.is_file()} == before
 
@@ -190,7 +190,7 @@ def test_a_file_that_cannot_be_read_now_stops_the_sweep(folder: RunFolder, name:
     """Nothing is set aside: the next attempt goes on with what is there."""
     work(folder)
     folder.model.unlink()
-    write_status(folder, dataclasses.replace(read_status(folder), state=State.INTERRUPTED))
+    write_status(folder, dataclasses.replace(read_status(folder), state=RunState.INTERRUPTED))
     path, hidden = folder.path / name, folder.path / "hidden"
     path.rename(hidden)
     path.mkdir()
@@ -206,7 +206,7 @@ def test_a_run_without_its_history_looks_mixed(folder: RunFolder, monkeypatch: p
     """What it ran with before its provenance was damaged is unknown, not the same as now."""
     work(folder)
     folder.model.unlink()
-    write_status(folder, dataclasses.replace(read_status(folder), state=State.INTERRUPTED))
+    write_status(folder, dataclasses.replace(read_status(folder), state=RunState.INTERRUPTED))
     folder.provenance.write_bytes(folder.provenance.read_bytes()[:-9])
     monkeypatch.setenv("STANDIN_WORLD", "2")
     assert work(folder) is WorkerExit.DONE
@@ -264,7 +264,7 @@ def test_a_file_that_is_not_there_now_stops_the_run(tmp_path: Path, at: int) -> 
     def stopped() -> str:
         assert work(folder) is WorkerExit.MISSING
         status = read_status(folder)
-        assert status.state is State.INTERRUPTED
+        assert status.state is RunState.INTERRUPTED
         assert status.error is not None
         assert status.error.kind is ErrorKind.MISSING
         assert "bring it back" in str(status.error)
@@ -309,7 +309,7 @@ def test_before_training_begins_a_stop_is_obeyed_at_once(folder: RunFolder, *, s
     told = [str(folder.path.parents[1]), folder.id, "--parent", str(parent)]
     assert main(told, Slow(signalled=signalled)) is WorkerExit.STOPPED
     status = read_status(folder)
-    assert status.state is State.INTERRUPTED or (status.state is State.QUEUED and not signalled)
+    assert status.state is RunState.INTERRUPTED or (status.state is RunState.QUEUED and not signalled)
     assert status.error is None
     assert not is_locked(folder.lock)
     assert work(folder) is WorkerExit.DONE
@@ -320,19 +320,19 @@ def test_a_crash_leaves_the_run_to_whoever_comes_next(folder: RunFolder, monkeyp
     monkeypatch.setenv("STANDIN", '{"other": "crash-once"}')
     assert work(folder) is WorkerExit.CRASHED
     status = read_status(folder)
-    assert (status.state, str(status.error)) == (State.INTERRUPTED, "RuntimeError: boom, but once")
+    assert (status.state, str(status.error)) == (RunState.INTERRUPTED, "RuntimeError: boom, but once")
     assert work(folder) is WorkerExit.DONE
 
 
 def test_a_retry_forgets_the_error_of_the_attempt_before(folder: RunFolder) -> None:
     """A run that is done carries no error."""
-    write_status(folder, Status(state=State.INTERRUPTED, attempt=4))
+    write_status(folder, Status(state=RunState.INTERRUPTED, attempt=4))
     assert work(folder) is WorkerExit.DONE
     status = read_status(folder)
     assert (status.attempt, status.error) == (5, None)
 
 
-class CountConfig(Section):
+class CountConfig(ConfigSection):
     """A job of a kind of its own: it writes down how many steps it was asked for."""
 
     kind: ClassVar[str] = "count"
@@ -368,5 +368,5 @@ def test_a_kind_of_job_of_ones_own(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     record_config(folder, config_content(CountConfig(steps=7)))
     assert main([str(tmp_path), folder.id]) is WorkerExit.DONE
     assert (folder.path / "counted").read_text() == "7"
-    assert read_status(folder).state is State.DONE
+    assert read_status(folder).state is RunState.DONE
     assert provenance.read_provenance(folder)["fingerprint"]["gymnasium"]

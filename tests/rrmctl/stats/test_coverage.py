@@ -6,9 +6,9 @@ What is measured here is what docs/statistics.md says: with 40 seeds the nominal
 import numpy as np
 import pytest
 
+from rrmctl.reports.iqm_curves import iqm_table
 from rrmctl.reports.select import sections
-from rrmctl.reports.settings import Settings
-from rrmctl.reports.tables import iqm_table
+from rrmctl.reports.statistics import Statistics
 from rrmctl.stats import Iqm, bootstrap, difference, iqm
 from tests.rrmctl.reports.frames import Sweep
 
@@ -93,6 +93,6 @@ def test_a_store_of_four_hundred_runs_with_known_truth():
         curves = {name: [[0.0, float(score)] for score in scores] for name, scores in runs.items()}
         (section,) = sections(*Sweep(curves=curves, tasks=("walker-walk",)).frames())
         assert section.contained == 400
-        table = iqm_table(section, Settings(replicates=500))
+        table = iqm_table(section, Statistics(replicates=500))
         held += int(((table["low"] <= 1000 * medians) & (1000 * medians <= table["high"])).sum())
     assert 42 <= held <= 50

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rrmctl.stats import Comparison, Design, Verdict, outlook, sequential_test
+from rrmctl.stats import Comparison, Design, Standing, outlook, sequential_test
 from rrmctl.stats.permutations import sequences
 from rrmctl.stats.sequential import boundaries
 
@@ -119,7 +119,7 @@ def test_no_seed_beyond_a_full_group_is_looked_at():
     assert decisions([Comparison(ours[:4], theirs[:4])]) == ["open"]
     five = sequential_test([Comparison(ours[:5], theirs[:5])], Design())
     nine = sequential_test([Comparison(ours[:9], theirs[:9])], Design())
-    assert five == nine == [Verdict("larger", 1, 20.0)]
+    assert five == nine == [Standing("larger", 1, 20.0)]
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -235,7 +235,7 @@ def test_the_outlook_counts_from_the_seeds_there_are():
         (lambda: Design(alpha=1.0), "between 0 and 1"),
         (lambda: sequential_test([Comparison([1.0, float("nan")], [1.0])], Design()), "not finite"),
         (lambda: sequential_test([Comparison(np.ones((5, 2)), [1.0])], Design()), "one score for each seed"),
-        (lambda: outlook(Comparison([], []), Verdict("equal", 4, 0.0), Design(), rng=rng()), "open"),
+        (lambda: outlook(Comparison([], []), Standing("equal", 4, 0.0), Design(), rng=rng()), "open"),
     ],
 )
 def test_what_makes_no_test_is_refused(call, message):

@@ -14,8 +14,8 @@ from hypothesis import strategies as st
 
 from rrm.parquet import encode
 from rrm.types import EvalRow
-from rrmctl.store.atomic import DamagedError, StorageError, VersionError
 from rrmctl.store.curve import SETTINGS, decode, table_of
+from rrmctl.store.files import DamagedError, StorageError, VersionError
 from rrmctl.store.layout import Layout, RunFolder
 from rrmctl.store.reader import read_curve
 from rrmctl.store.schema import IDENTITY, MEASURED, SCHEMA_VERSION, VERSION_KEY, curve_schema

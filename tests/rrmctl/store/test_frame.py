@@ -10,11 +10,11 @@ import pandas as pd
 import pytest
 
 from rrmctl.export.bundle import Bundle, read
-from rrmctl.reports import accounts
+from rrmctl.reports import run_facts
 from rrmctl.reports.frames import table as report
-from rrmctl.reports.kinds import kinds
+from rrmctl.reports.iqm_curves import curve_table, iqm_table
 from rrmctl.reports.select import read_sections
-from rrmctl.reports.tables import curve_table, iqm_table
+from rrmctl.reports.tables import kinds
 from rrmctl.store import load, load_gradients, planned
 from rrmctl.store.inventory import inventory, table
 from tests.rrmctl.reports.frames import FIGURES, Sweep
@@ -35,7 +35,7 @@ def frames(root: Path) -> Iterator[tuple[str, pd.DataFrame]]:
     yield "evaluations of nothing", Bundle("main-results", ()).evaluations()
     yield from (("curves", curve_table(section)), ("iqm", iqm_table(section)))
     counted: tuple[Callable[..., pd.DataFrame], ...] = (
-        table, accounts.spending, accounts.common_settings, accounts.differing_settings, accounts.makings,
+        table, run_facts.spending, run_facts.common_settings, run_facts.differing_settings, run_facts.makings,
     )  # fmt: skip
     for each in counted:
         yield each.__name__, each(runs)

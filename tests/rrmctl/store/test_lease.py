@@ -18,11 +18,11 @@ from pathlib import Path
 import pytest
 
 from rrmctl.store import lease as module
-from rrmctl.store.atomic import StorageError, is_locked, try_lock
+from rrmctl.store.files import StorageError, is_locked, try_lock
 from rrmctl.store.layout import Layout, RunFolder
 from rrmctl.store.lease import Lease, LeaseLostError
 from rrmctl.store.owner import Beat, Watch, read_beat
-from rrmctl.waking import WakingTime
+from rrmctl.suspend_clock import WakingTime
 
 
 @pytest.fixture

@@ -8,10 +8,10 @@ from pathlib import Path
 
 import pytest
 
-from rrmctl.store.atomic import DamagedError
+from rrmctl.store.files import DamagedError
 from rrmctl.store.layout import Layout
 from rrmctl.store.reader import planned, statuses
-from rrmctl.store.records import ErrorKind, RunError, State, Status, write_status
+from rrmctl.store.status import ErrorKind, RunError, RunState, Status, write_status
 from rrmctl.store.sweeps import JobRecord, SweepRecord, read_sweeps, record_sweep
 
 ERROR = RunError(kind=ErrorKind.REFUSED, type="DemosError", message="the expert fails")
@@ -85,14 +85,14 @@ def test_a_damaged_need_is_refused(tmp_path: Path, requires: object) -> None:
 def test_what_needs_a_failed_run_is_blocked(tmp_path: Path) -> None:
     """Down the chain, with the first cause; what was done before stays done, and what the others lack is their own."""
     layout, record = chain(tmp_path)
-    write_status(layout.run("0" * 16), Status(state=State.DONE))
-    write_status(layout.run("1" * 16), Status(state=State.FAILED, error=ERROR))
-    write_status(layout.run("4" * 16), Status(state=State.DONE))
+    write_status(layout.run("0" * 16), Status(state=RunState.DONE))
+    write_status(layout.run("1" * 16), Status(state=RunState.FAILED, error=ERROR))
+    write_status(layout.run("4" * 16), Status(state=RunState.DONE))
     states = statuses(layout, record.everything)
     assert [states[digit * 16].state for digit in "01234"] == ["done", "failed", "blocked", "blocked", "done"]
     assert str(states["3" * 16].error) == f"run {'1' * 16}, which it needs, failed: DemosError: the expert fails"
     assert planned(tmp_path, "e")["state"].tolist() == ["blocked", "done"]
-    write_status(layout.run("1" * 16), Status(state=State.INTERRUPTED))
+    write_status(layout.run("1" * 16), Status(state=RunState.INTERRUPTED))
     assert {str(status.state) for status in statuses(layout, record.everything).values()} == {
         "done", "interrupted", "queued"
     }  # fmt: skip
@@ -101,4 +101,4 @@ def test_what_needs_a_failed_run_is_blocked(tmp_path: Path) -> None:
 def test_runs_that_need_each_other_in_a_circle_wait(tmp_path: Path) -> None:
     """Two records put together by hand can say so, which neither does alone; looking at them ends."""
     states = statuses(Layout(tmp_path), (job("a", "b"), job("b", "a")))
-    assert {status.state for status in states.values()} == {State.QUEUED}
+    assert {status.state for status in states.values()} == {RunState.QUEUED}

@@ -10,12 +10,12 @@ import pytest
 from typer.testing import CliRunner
 
 from rrmctl.cli.app import app
-from rrmctl.store.atomic import try_lock
+from rrmctl.store.files import try_lock
 from rrmctl.store.layout import Layout, RunFolder
 from rrmctl.store.lease import Lease
 from rrmctl.store.owner import HERE, Beat, Machine, is_owned, owned, read_beat
 from rrmctl.store.reader import run_status
-from rrmctl.store.records import ErrorKind, RunError, State, Status, read_status, record_failure, write_status
+from rrmctl.store.status import ErrorKind, RunError, RunState, Status, read_status, record_failure, write_status
 from rrmctl.store.unused import remove
 from tests.rrmctl.running.standin import prepare
 
@@ -26,7 +26,7 @@ A, B = Machine("a", "boot of a"), Machine("b", "boot of b")
 def folder(tmp_path: Path) -> RunFolder:
     """A run that says it is running, and that nobody has locked."""
     found = Layout(tmp_path).run("0" * 16)
-    write_status(found, Status(state=State.RUNNING, attempt=1, host="elsewhere"))
+    write_status(found, Status(state=RunState.RUNNING, attempt=1, host="elsewhere"))
     return found
 
 
@@ -84,10 +84,10 @@ def test_a_lease_says_where_its_owner_lives(folder: RunFolder) -> None:
 def test_a_run_of_another_machine_is_left_alone(folder: RunFolder) -> None:
     """Nobody holds its lock here; it is running, nobody takes it, records its failure or removes it."""
     before = write_beat(folder)
-    assert run_status(folder).state is State.RUNNING
+    assert run_status(folder).state is RunState.RUNNING
     assert Lease.take(folder) is None
     record_failure(folder, RunError(kind=ErrorKind.KILLED, type="SIGKILL", message="killed"))
-    assert read_status(folder).state is State.RUNNING
+    assert read_status(folder).state is RunState.RUNNING
     assert remove(Layout(folder.results), [folder.id]) == []
     assert read_beat(folder) == before
 
@@ -98,7 +98,7 @@ def test_status_names_the_other_machine(tmp_path: Path, host: str) -> None:
     layout, (job,) = prepare(tmp_path, range(1))
     folder = layout.run(job.id)
     for machine, named in ((A, True), (HERE, False)):
-        write_status(folder, Status(state=State.RUNNING, attempt=1, host=host))
+        write_status(folder, Status(state=RunState.RUNNING, attempt=1, host=host))
         write_beat(folder, machine)
         told = CliRunner().invoke(app, ["status", "--results", str(tmp_path)])
         assert told.exit_code == 0
@@ -115,16 +115,16 @@ def test_a_run_of_another_machine_is_taken_once_it_was_silent(folder: RunFolder)
     assert lease is not None
     assert not try_lock(folder.lock)
     lease.release()
-    assert run_status(folder).state is State.INTERRUPTED
+    assert run_status(folder).state is RunState.INTERRUPTED
 
 
 def test_what_died_on_this_machine_is_free_at_once(folder: RunFolder) -> None:
     """With the lease that it left, before a restart or after it."""
     for machine in (HERE, Machine(HERE.host, "an earlier boot")):
         write_beat(folder, machine)
-        assert run_status(folder).state is State.INTERRUPTED
+        assert run_status(folder).state is RunState.INTERRUPTED
         lock = try_lock(folder.lock)
         assert lock is not None
-        assert run_status(folder).state is State.RUNNING
+        assert run_status(folder).state is RunState.RUNNING
         os.close(lock)
     assert remove(Layout(folder.results), [folder.id]) == [folder.id]

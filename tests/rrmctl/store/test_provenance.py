@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from rrmctl.machine import usable_cores
+from rrmctl.hardware import usable_cores
 from rrmctl.store.layout import Layout, RunFolder
 from rrmctl.store.provenance import Provenance, code_digest, collect, made_with, record
 

@@ -15,23 +15,23 @@ import pytest
 
 from rrmctl.errors import UserError
 from rrmctl.store import load, planned
-from rrmctl.store.atomic import DamagedError, VersionError, try_lock
+from rrmctl.store.files import DamagedError, VersionError, try_lock
 from rrmctl.store.inventory import inventory
 from rrmctl.store.layout import Layout
 from rrmctl.store.provenance import collect, made_with
 from rrmctl.store.provenance import record as record_provenance
 from rrmctl.store.reader import find_run, find_sweeps, log_tail, read_config, run_status
-from rrmctl.store.records import (
+from rrmctl.store.schema import LABELS, MEASURED
+from rrmctl.store.status import (
     ErrorKind,
     RunError,
-    State,
+    RunState,
     Status,
     read_status,
     record_config,
     record_failure,
     write_status,
 )
-from rrmctl.store.schema import LABELS, MEASURED
 from rrmctl.store.sweeps import JobRecord, SweepRecord, read_sweeps, readable_sweeps, record_sweep
 from rrmctl.store.trials import Trial, begin_trial, read_trial
 from rrmctl.store.writer import CurveWriter
@@ -110,20 +110,22 @@ def test_names_cannot_leave_the_results_folder(tmp_path: Path, name: str) -> Non
 def test_running_without_a_process_is_interrupted(tmp_path: Path) -> None:
     """A status that says running counts only while somebody holds the run's lock."""
     folder = Layout(tmp_path).run("r")
-    write_status(folder, Status(state=State.RUNNING, attempt=1))
-    assert run_status(folder).state is State.INTERRUPTED
+    write_status(folder, Status(state=RunState.RUNNING, attempt=1))
+    assert run_status(folder).state is RunState.INTERRUPTED
     lock = try_lock(folder.lock)
     assert lock is not None
-    assert run_status(folder).state is State.RUNNING
+    assert run_status(folder).state is RunState.RUNNING
     os.close(lock)
-    assert run_status(folder).state is State.INTERRUPTED
+    assert run_status(folder).state is RunState.INTERRUPTED
 
 
 def test_a_status_survives_its_file(tmp_path: Path) -> None:
     """Every field comes back, the error among them."""
     folder = Layout(tmp_path).run("r")
     error = RunError(kind=ErrorKind.KILLED, type="SIGKILL", message="killed")
-    status = Status(state=State.FAILED, attempt=3, step=5, steps=9, rows=1, success=0.5, pid=1, host="h", error=error)
+    status = Status(
+        state=RunState.FAILED, attempt=3, step=5, steps=9, rows=1, success=0.5, pid=1, host="h", error=error
+    )
     write_status(folder, status)
     assert status == read_status(folder)
 
@@ -137,7 +139,7 @@ def test_a_damaged_status_is_told_not_guessed(tmp_path: Path, content: str) -> N
     folder.path.mkdir(parents=True)
     folder.status.write_text(content)
     status = run_status(folder)
-    assert status.state is State.UNREADABLE
+    assert status.state is RunState.UNREADABLE
     assert "status.json" in str(status.error)
     with pytest.raises(DamagedError):
         read_status(folder)
@@ -165,7 +167,7 @@ def test_another_version_is_not_damage(tmp_path: Path) -> None:
         path.write_bytes(whole)
 
 
-STATUS = Status(state=State.DONE, step=5, wall_s=1.0, error=RunError(kind=ErrorKind.KILLED, type="K", message="k"))
+STATUS = Status(state=RunState.DONE, step=5, wall_s=1.0, error=RunError(kind=ErrorKind.KILLED, type="K", message="k"))
 
 
 @pytest.mark.parametrize(
@@ -186,7 +188,7 @@ def test_a_status_with_a_field_of_another_kind_is_damaged(tmp_path: Path, change
     folder.status.write_text(json.dumps(STATUS.to_json() | change))
     with pytest.raises(DamagedError, match=rf"r/status\.json is damaged: .*{told}"):
         read_status(folder)
-    assert run_status(folder).state is State.UNREADABLE
+    assert run_status(folder).state is RunState.UNREADABLE
 
 
 @pytest.mark.parametrize(
@@ -260,23 +262,23 @@ def test_a_failure_is_recorded_unless_somebody_else_has_the_run(tmp_path: Path) 
     """The owner of a run is the only one to write its status."""
     folder = Layout(tmp_path).run("r")
     error = RunError(kind=ErrorKind.KILLED, type="SIGKILL", message="killed")
-    write_status(folder, Status(state=State.RUNNING))
+    write_status(folder, Status(state=RunState.RUNNING))
     lock = try_lock(folder.lock)
     assert lock is not None
     record_failure(folder, error)
-    assert read_status(folder).state is State.RUNNING
+    assert read_status(folder).state is RunState.RUNNING
     os.close(lock)
     record_failure(folder, error)
     assert error == read_status(folder).error
-    write_status(folder, Status(state=State.DONE))
+    write_status(folder, Status(state=RunState.DONE))
     record_failure(folder, error)
-    assert read_status(folder).state is State.DONE
+    assert read_status(folder).state is RunState.DONE
 
 
 def test_a_failure_is_recorded_while_somebody_looks(tmp_path: Path) -> None:
     """A reader holds the lock for an instant: that makes nobody the owner of the run."""
     folder = Layout(tmp_path).run("r")
-    write_status(folder, Status(state=State.RUNNING))
+    write_status(folder, Status(state=RunState.RUNNING))
     folder.lock.touch()
     reader = os.open(folder.lock, os.O_RDONLY)
     fcntl.flock(reader, fcntl.LOCK_SH)
@@ -284,7 +286,7 @@ def test_a_failure_is_recorded_while_somebody_looks(tmp_path: Path) -> None:
     leaves.start()
     record_failure(folder, RunError(kind=ErrorKind.KILLED, type="SIGKILL", message="killed"))
     leaves.join()
-    assert read_status(folder).state is State.FAILED
+    assert read_status(folder).state is RunState.FAILED
 
 
 def test_load_is_one_row_per_label_and_evaluation(tmp_path: Path) -> None:
@@ -330,7 +332,7 @@ def test_planned_tells_what_is_missing(tmp_path: Path) -> None:
     """Every job asked for has a line, whether or not anything of it exists."""
     layout, jobs = prepare(tmp_path, range(2))
     error = RunError(kind=ErrorKind.REFUSED, type="PriorError", message="NaN")
-    write_status(layout.run(jobs[1].id), Status(state=State.FAILED, attempt=1, step=7, steps=40, error=error))
+    write_status(layout.run(jobs[1].id), Status(state=RunState.FAILED, attempt=1, step=7, steps=40, error=error))
     frame = planned(tmp_path, "stand-in")
     assert frame["state"].tolist() == ["queued", "failed"]
     assert frame["error"].tolist() == ["", "PriorError: NaN"]

@@ -10,7 +10,7 @@ from typer.testing import CliRunner
 from rrmctl.cli.app import app
 from rrmctl.store.inventory import inventory
 from rrmctl.store.layout import Layout
-from rrmctl.store.records import ErrorKind, RunError, State, Status, write_status
+from rrmctl.store.status import ErrorKind, RunError, RunState, Status, write_status
 from tests.rrmctl.reports.frames import Sweep
 
 
@@ -52,7 +52,7 @@ def whole(tmp_path_factory):
     """Two runs, of which one says that it is under way."""
     root = tmp_path_factory.mktemp("whole")
     Sweep(curves={"pebble": [[0.0, 0.5]] * 2}).write(root)
-    write_status(Layout(root).run(inventory(root)[0].id), Status(state=State.RUNNING, step=100, steps=200))
+    write_status(Layout(root).run(inventory(root)[0].id), Status(state=RunState.RUNNING, step=100, steps=200))
     return root
 
 
@@ -113,7 +113,7 @@ def test_what_a_store_says_is_text_to_the_terminal(root, terminal):
         job.update(dict.fromkeys(("task", "method", "teacher", "feedback"), EVIL))
     sweep.write_text(json.dumps(record))
     error = RunError(kind=ErrorKind.CRASHED, type="ValueError", message=EVIL)
-    write_status(Layout(root).run(run), Status(state=State.FAILED, error=error))
+    write_status(Layout(root).run(run), Status(state=RunState.FAILED, error=error))
     Layout(root).run(run).log.write_text(f"{EVIL}\n")
     environment = {"FORCE_COLOR": "1", "TERM": "xterm"} if terminal else {}
     for command in (

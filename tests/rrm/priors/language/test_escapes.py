@@ -13,8 +13,8 @@ from rrm.errors import PriorError, RefusedCodeError, RrmError
 from rrm.priors import evaluate_prior
 from rrm.priors.language.guards import FUNCTIONS, OPERATIONS, namespace
 from rrm.priors.language.translate import admit
-from rrm.priors.language.words import ACCESSORS, VALUE
-from rrm.priors.language.words import FUNCTIONS as SIGNATURES
+from rrm.priors.language.vocabulary import ACCESSORS, VALUE
+from rrm.priors.language.vocabulary import FUNCTIONS as SIGNATURES
 from tests.rrm.priors.language.steps import code, random_step
 
 #: One expression each, standing in `return ...`.

@@ -15,7 +15,7 @@ from rrm.priors.language.prompt import make_prompt
 from rrm.priors.language.record import Candidate, Record, freeze, sha256
 from rrm.priors.language.translate import admit
 from rrm.priors.step import PriorStep, Scene
-from rrm.training.config import RunConfig
+from rrm.training.run_config import RunConfig
 from tests.rrm.priors.language.steps import code, random_step, recorded
 
 every_task = pytest.mark.parametrize("name", TASKS)

@@ -15,26 +15,26 @@ from typer.testing import CliRunner
 
 from rrmctl.cli.app import app
 from rrmctl.errors import UserError
-from rrmctl.reports import accounts
-from rrmctl.reports.document import Grid, Report
+from rrmctl.reports import run_facts
 from rrmctl.reports.figures import figures
-from rrmctl.reports.kinds import kinds
+from rrmctl.reports.page.assembly import build, render
 from rrmctl.reports.page.chapter import MOST_BYTES, picture
-from rrmctl.reports.page.document import build, render
 from rrmctl.reports.page.listings import clock
 from rrmctl.reports.page.parts import Column, Part, Picture, Table, identifier
-from rrmctl.reports.page.tables import SEVERAL, gather
+from rrmctl.reports.page.table_parts import SEVERAL, gather
+from rrmctl.reports.report import Grid, Report
 from rrmctl.reports.select import read_sections
-from rrmctl.reports.settings import Settings
-from rrmctl.store.atomic import write_json
+from rrmctl.reports.statistics import Statistics
+from rrmctl.reports.tables import kinds
+from rrmctl.store.files import write_json
 from rrmctl.store.inventory import inventory
 from rrmctl.store.layout import Layout
-from rrmctl.store.records import ErrorKind, RunError, State, Status, write_status
+from rrmctl.store.status import ErrorKind, RunError, RunState, Status, write_status
 from tests.rrmctl.reports.frames import Sweep
 
 REFERENCE = Path(__file__).parents[4] / "results" / "reference"
 TASK = "button-press"
-QUICK = Settings(replicates=100)
+QUICK = Statistics(replicates=100)
 NASTY = "<script>window.hit = 1</script>\"'&<img src=x onerror=window.hit=1>"
 
 
@@ -47,7 +47,7 @@ def results(tmp_path):
     sweep.write(root)
     (failed,) = (run for run in inventory(root) if run.plan["state"] == "failed")
     error = RunError(kind=ErrorKind.CRASHED, type="ValueError", message=NASTY)
-    write_status(Layout(root).run(failed.id), Status(state=State.FAILED, step=200, steps=400, error=error))
+    write_status(Layout(root).run(failed.id), Status(state=RunState.FAILED, step=200, steps=400, error=error))
     return root
 
 
@@ -169,11 +169,11 @@ def test_a_damaged_run_is_named(results):
 def test_what_was_spent_adds_up(results):
     """Steps, labels and time are those of the last evaluations; a run under two labels is counted once in the total."""
     runs = inventory(results)
-    table = accounts.spending(runs)
+    table = run_facts.spending(runs)
     assert list(table["method"]) == ["oracle", "pebble", "rrm-proxy"]
     assert list(table["runs"]) == [5, 5, 5]
     assert list(table["steps"]) == [2000, 1400, 2000]
-    assert accounts.total([*runs, *runs])["steps"] == table["steps"].sum()
+    assert run_facts.total([*runs, *runs])["steps"] == table["steps"].sum()
 
 
 def test_settings_are_common_or_differ(results):
@@ -183,21 +183,21 @@ def test_settings_are_common_or_differ(results):
         folder = Layout(results).run(run.id)
         write_json(folder.config, run.config | {"agent": {"batch": 64 if run.plan["method"] == "oracle" else 128}})
     runs = inventory(results)
-    common = dict(accounts.common_settings(runs).itertuples(index=False))
+    common = dict(run_facts.common_settings(runs).itertuples(index=False))
     assert common["evaluation.success"] == '"any"'
     assert "agent.batch" not in common
-    differing = accounts.differing_settings(runs).set_index("method")
+    differing = run_facts.differing_settings(runs).set_index("method")
     assert dict(differing["agent.batch"]) == {"oracle": "64", "pebble": "128", "rrm-proxy": "128"}
-    assert accounts.differing_settings(runs[:1]).empty
+    assert run_facts.differing_settings(runs[:1]).empty
 
 
 def test_machines_and_versions_are_told_apart():
     """Runs that were started with the same are one column, and every run is counted."""
     runs = [run for run in inventory(REFERENCE) if run.plan["experiment"] == "precision"]
-    facts = accounts.makings(runs).set_index("fact")
+    facts = run_facts.makings(runs).set_index("fact")
     assert sum(map(int, facts.loc["runs"])) == len({run.id for run in runs})
     assert set(facts.loc["precision"]) == {"float32", "bfloat16"}
-    assert accounts.makings([]).empty
+    assert run_facts.makings([]).empty
 
 
 def test_a_figure_is_never_large():
@@ -318,7 +318,7 @@ def test_tables_stand_where_they_belong(tmp_path, monkeypatch):
         "choosy": Kind(refuse),
         "none": Kind(nothing),
     }
-    monkeypatch.setattr("rrmctl.reports.page.tables.kinds", lambda: known)
+    monkeypatch.setattr("rrmctl.reports.page.table_parts.kinds", lambda: known)
     found = gather(read_sections(tmp_path), QUICK)
     kinds_at = {place: [kind for kind, _ in made] for place, made in found.made.items()}
     first, second = ("main-results", "laptop"), ("toy-car", "t")

@@ -6,11 +6,11 @@ import pytest
 from typer.testing import CliRunner
 
 from rrmctl.cli.app import app
-from rrmctl.reports.page.document import build
-from rrmctl.reports.settings import Settings
+from rrmctl.reports.page.assembly import build
+from rrmctl.reports.statistics import Statistics
 from rrmctl.store.inventory import inventory
 from rrmctl.store.layout import Layout
-from rrmctl.store.records import ErrorKind, RunError, State, Status, write_status
+from rrmctl.store.status import ErrorKind, RunError, RunState, Status, write_status
 from tests.browser import browser
 from tests.rrmctl.reports.frames import RISING, Sweep
 
@@ -35,7 +35,7 @@ def path(tmp_path_factory):
     for run in inventory(folder):
         if run.plan["state"] == "failed":
             error = RunError(kind=ErrorKind.CRASHED, type="ValueError", message=NASTY)
-            write_status(Layout(folder).run(run.id), Status(state=State.FAILED, step=200, steps=400, error=error))
+            write_status(Layout(folder).run(run.id), Status(state=RunState.FAILED, step=200, steps=400, error=error))
     target = folder / "report.html"
     ran = CliRunner().invoke(
         app, ["report", "html", "--results", str(folder), "-o", str(target), "--replicates", "100"]
@@ -198,7 +198,7 @@ def test_it_prints(page):
 @pytest.fixture(scope="module")
 def of_reference(tmp_path_factory):
     target = tmp_path_factory.mktemp("reference") / "report.html"
-    target.write_text(build(REFERENCE, settings=Settings(replicates=100)))
+    target.write_text(build(REFERENCE, settings=Statistics(replicates=100)))
     return target
 
 

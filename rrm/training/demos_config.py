@@ -1,0 +1,71 @@
+"""The complete description of a run that collects demonstrations. Nothing here imports torch or a simulator."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from typing import ClassVar, Literal, Self
+
+from pydantic import model_validator
+
+from rrm.config import ConfigSection, Count, Fraction, NonNegative
+from rrm.envs.tasks import Task
+from rrm.errors import ConfigError
+from rrm.precision import Precision
+from rrm.training.run_config import CONFIG_VERSION, RunConfig
+
+
+class DemosConfig(ConfigSection):
+    """Episodes of a trained policy, played deterministically (appendix "Imitation rewards")."""
+
+    kind: ClassVar[Literal["demos"]] = "demos"  #: of job
+
+    profile: str = "paper"
+    task: str
+    seed: NonNegative = 0  #: of the instances that are played
+    expert: RunConfig  #: the run whose policy plays
+    episodes: Count = 50
+    least_success: Fraction = 0.8  #: share of the episodes that must succeed, where the task has that notion
+    precision: Precision = "float32"
+    threads: Count = 1
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        if self.expert.task != self.task:
+            raise ConfigError(f"expert.task: an expert of {self.expert.task} shows nothing of {self.task}")
+        return self
+
+    @property
+    def method(self) -> str:
+        """Its name in tables."""
+        return "demos"
+
+    @property
+    def steps(self) -> int:
+        """Environment steps of all episodes together, were none to end early."""
+        return self.episodes * self.expert.episode_steps
+
+    @property
+    def requires(self) -> tuple[str, ...]:
+        """Identities of the runs whose results this one starts from."""
+        return (self.expert.identity,)
+
+    def canonical(self) -> DemosConfig:
+        """The same run with everything that cannot change its numbers at its default."""
+        return self.model_copy(update={"expert": self.expert.canonical()})
+
+    @property
+    def identity(self) -> str:
+        """Sixteen hex digits that stand for everything that can change the demonstrations."""
+        described = self.model_dump(mode="json", exclude_defaults=True, exclude={"expert"})
+        told = {"version": CONFIG_VERSION, "kind": self.kind, "expert": self.expert.identity, **described}
+        return hashlib.sha256(json.dumps(told, sort_keys=True).encode()).hexdigest()[:16]
+
+    @property
+    def cell(self) -> str:
+        """Demonstrations are averaged with nothing: their own identity."""
+        return self.identity
+
+    def spec(self) -> Task:
+        """The task's description."""
+        return self.expert.spec()

@@ -1,0 +1,289 @@
+"""The complete description of one run. Its digest is the run's identity.
+
+Nothing here imports torch or a simulator, so that planning ten thousand runs is quick.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, ClassVar, Literal, Self, TypeVar
+
+from pydantic import model_validator
+
+from rrm.config import (
+    IMITATION,
+    KINDS,
+    KNOWN,
+    PRIOR_ALONE,
+    AgentConfig,
+    ConfigSection,
+    Count,
+    EvaluationConfig,
+    ExplorationConfig,
+    FeedbackConfig,
+    ImitationConfig,
+    NonNegative,
+    RewardConfig,
+    TeacherConfig,
+)
+from rrm.envs.tasks import TASKS, Task, task
+from rrm.errors import ConfigError, UnknownNameError
+from rrm.precision import PrecisionSetting
+from rrm.priors import check_prior
+from rrm.registry import check_file, file_digest, is_file_reference, source_digest
+from rrm.rewards import LEARNERS
+
+_S = TypeVar("_S", bound=ConfigSection)
+
+#: Raised by one when the same configuration would give other numbers than before.
+CONFIG_VERSION = 2
+
+#: A hundred times the paper's. Each trains on all labels so far, and planning counts them one by one.
+_MOST_SESSIONS = 10_000
+
+
+class RunConfig(ConfigSection):
+    """One run. Two runs with equal configurations are the same run."""
+
+    kind: ClassVar[Literal["train"]] = "train"  #: of job
+
+    profile: str = "paper"  #: which scale this is; reports never mix two
+    task: str
+    seed: NonNegative
+    steps: Count  #: environment steps
+    horizon: Count | None = None  #: steps of an episode where shorter than the task's own
+    agent: AgentConfig = AgentConfig()
+    reward: RewardConfig = RewardConfig()
+    feedback: FeedbackConfig | None = FeedbackConfig()  #: None where no reward is learned
+    teacher: TeacherConfig | None = TeacherConfig()  #: likewise
+    exploration: ExplorationConfig = ExplorationConfig()
+    imitation: ImitationConfig = ImitationConfig()  #: of runs that learn from demonstrations, and of planning theirs
+    evaluation: EvaluationConfig = EvaluationConfig()
+    precision: PrecisionSetting = "float32"  #: of products between hidden layers; "auto" is this machine's fastest
+    threads: Count = 1  #: of torch; another number may round differently
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        spec = task(self.task)
+        if self.horizon is not None and self.horizon > spec.horizon:
+            raise ConfigError(f"horizon: {self.horizon} steps is longer than {self.task}'s episode of {spec.horizon}")
+        names, kind = {*LEARNERS, *KINDS}, self.reward.kind
+        if self.reward.learner not in names and not is_file_reference(self.reward.learner):
+            raise UnknownNameError("learner", self.reward.learner, names)
+        if is_file_reference(self.reward.learner):
+            check_file(self.reward.learner, "learner")
+        if self.reward.prior is not None:
+            if kind.prior == "refused":
+                raise ConfigError(f"reward.prior: the learner {self.reward.learner!r} takes no prior")
+            check_prior(self.reward.prior, spec)
+        elif kind.prior == "needed":
+            raise ConfigError('reward.prior: the learner "prior" trains on a prior alone and needs one named')
+        if self.reward.options and not is_file_reference(self.reward.learner):
+            raise ConfigError(f"reward.options: the learner {self.reward.learner!r} takes none")
+        if kind.learned:
+            self._feedback_can_be_met()
+        elif self.random_steps + 1 >= self.steps:
+            section = "imitation" if self.from_demonstrations else "exploration"
+            raise ConfigError(
+                f"steps: the run ends at {self.steps}, before the first update; "
+                f"{section}.seed_steps are {self.random_steps}"
+            )
+        return self
+
+    def _feedback_can_be_met(self) -> None:
+        if self.feedback is None or self.teacher is None:
+            raise ConfigError(f"feedback and teacher: the learner {self.reward.learner!r} needs both")
+        self.check_margin(self.reward.settings.needs().margin)
+        self.reward.settings.check(self.feedback.segment, self.agent.update_every)
+        if self.from_demonstrations and self.first_session < self.random_steps + self.episode_steps:
+            raise ConfigError(
+                f"imitation.switch: {self.first_session} comes before an episode beyond the "
+                f"{self.random_steps} random steps"
+            )
+        if self.first_session >= self.steps:
+            raise ConfigError(
+                f"steps: the run ends at {self.steps}, before the first feedback at {self.first_session} "
+                "(random and unsupervised steps, and two complete episodes, come first)"
+            )
+        self._sessions_end()
+
+    def _sessions_end(self) -> None:
+        assert self.feedback is not None  # the configuration has checked it
+        steps, every, budget = self.steps - self.first_session, self.feedback.every, self.feedback.budget
+        most = min(-(-steps // every), budget)
+        if most > _MOST_SESSIONS:
+            raise ConfigError(f"feedback.every: {most:,} sessions; a run has at most {_MOST_SESSIONS:,}")
+
+    def check_margin(self, margin: int) -> None:
+        """Refuse segments that, with `margin` steps more on either side, are longer than an episode.
+
+        Raises:
+            ConfigError: they are.
+        """
+        assert self.feedback is not None  # the configuration has checked it
+        segment, longer = self.feedback.segment, f" and {margin} more on either side" if margin else ""
+        if segment + 2 * margin > self.episode_steps:
+            raise ConfigError(
+                f"feedback.segment: {segment} steps{longer} do not fit into an episode of {self.episode_steps}"
+            )
+
+    @property
+    def from_demonstrations(self) -> bool:
+        """True for runs that begin with demonstrations, up to `first_session` where preferences follow."""
+        return self.reward.kind.demonstrated
+
+    @property
+    def requires(self) -> tuple[str, ...]:
+        """Identities of the runs whose results this one starts from."""
+        return tuple(run for run in (self.reward.prior_run, self.imitation.demos_run) if run is not None)
+
+    @property
+    def episode_steps(self) -> int:
+        """Steps of an episode in this run."""
+        return self.horizon or task(self.task).horizon
+
+    @property
+    def random_steps(self) -> int:
+        """Steps of random actions: prolonged where the first session would come before two complete episodes."""
+        explore = self.exploration
+        if self.from_demonstrations:
+            return self.imitation.seed_steps
+        if not self.reward.kind.learned:
+            return explore.seed_steps
+        return max(explore.seed_steps, 2 * self.episode_steps - explore.unsupervised_steps)
+
+    @property
+    def first_session(self) -> int:
+        """The step before which the first feedback is given."""
+        if self.from_demonstrations:
+            return self.imitation.switch
+        return self.random_steps + self.exploration.unsupervised_steps
+
+    @property
+    def method(self) -> str:
+        """The method's name in tables: oracle, pebble, rrm-proxy, rrm-surf-proxy, sac-proxy."""
+        learner, prior = _short(self.reward.learner), _short(self.reward.prior or "")
+        if self.reward.kind is KNOWN:
+            return "oracle"
+        if self.reward.kind is PRIOR_ALONE:
+            return f"sac-{prior}"
+        if not prior:
+            return learner
+        return f"rrm-{prior}" if learner == "pebble" else f"rrm-{learner}-{prior}"
+
+    def canonical(self) -> RunConfig:
+        """The same run with everything that cannot change its numbers at its default, and user files digested.
+
+        Raises:
+            ConfigError: a file of the user's cannot be read.
+        """
+        reward, explore = self.reward, self.exploration
+        changes: dict[str, Any] = {"imitation": self._canonical_imitation()}
+        if reward.prior != IMITATION:
+            reward = _defaulted(reward, "prior_run", "squash")
+        if not reward.kind.learned:
+            keep = ("learner", "prior", "normaliser", "prior_run", "squash")
+            kept = {name: getattr(reward, name) for name in (keep if reward.kind is PRIOR_ALONE else keep[:1])}
+            reward = RewardConfig(**kept)
+            changes |= {"feedback": None, "teacher": None}
+            changes["exploration"] = ExplorationConfig(seed_steps=explore.seed_steps)
+        else:
+            reward = _defaulted(reward, *_idle(reward))
+            if self.feedback is not None and self.feedback.sampler == "uniform":
+                changes["feedback"] = _defaulted(self.feedback, "pool")
+            if not explore.unsupervised_steps:
+                explore = _defaulted(explore, "neighbours")
+            changes["exploration"] = explore.model_copy(update={"seed_steps": self.random_steps})
+        if self.from_demonstrations:
+            changes["exploration"] = ExplorationConfig()
+            reward = _defaulted(reward, "members", "hidden", "layers")
+        digests = {"learner_digest": source_digest(reward.learner)}
+        if reward.prior is not None:
+            digests["prior_digest"] = source_digest(reward.prior)
+        changes["reward"] = reward.model_copy(update=digests)
+        if self.horizon == TASKS[self.task].horizon:
+            changes["horizon"] = None
+        return self.model_copy(update=changes)
+
+    def _canonical_imitation(self) -> ImitationConfig:
+        """What matters of the section to this run itself; what matters to those it requires is in their identities."""
+        imitation = self.imitation
+        if not self.from_demonstrations:
+            return ImitationConfig()
+        imitation = _defaulted(imitation, "steps", "episodes", "expert_success", "demos_digest")
+        if not self.reward.kind.learned:
+            imitation = _defaulted(imitation, "switch")
+        if imitation.demos is not None:
+            digest = file_digest(Path(imitation.demos), "imitation.demos")
+            imitation = imitation.model_copy(update={"demos_digest": digest, "demos_run": None})
+        return imitation
+
+    @property
+    def identity(self) -> str:
+        """Sixteen hex digits that stand for everything that can change the run's numbers.
+
+        Values equal to their default are left out, so that a new setting whose default changes nothing keeps the
+        identities of runs made before it existed; a default that changes numbers raises `CONFIG_VERSION`.
+        """
+        return self._digest(exclude=set())
+
+    @property
+    def cell(self) -> str:
+        """The identity of the run's seeds together: what is equal between the runs one averages over."""
+        return self._digest(exclude={"seed"})
+
+    def _digest(self, exclude: set[str]) -> str:
+        described = self.canonical().model_dump(mode="json", exclude_defaults=True, exclude=exclude)
+        for key in ("prior", "learner"):  # a user's file is known by its content, wherever it lies
+            name = described.get("reward", {}).get(key)
+            if name is not None and is_file_reference(name):
+                described["reward"][key] = name.rpartition(":")[2]
+        described.get("imitation", {}).pop("demos", None)  # likewise
+        text = json.dumps({"version": CONFIG_VERSION, **described}, sort_keys=True, allow_nan=False)
+        return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+    def spec(self) -> Task:
+        """The task's description."""
+        return task(self.task)
+
+    def sessions(self) -> int:
+        """Feedback sessions that fit into the run at its budget; 0 where nothing is learned."""
+        return len(self._session_sizes())
+
+    def queries(self) -> int:
+        """Queries that are put in all sessions together: the budget, or fewer where the run ends before it is spent."""
+        return sum(self._session_sizes())
+
+    def _session_sizes(self) -> list[int]:
+        sizes: list[int] = []
+        if not self.reward.kind.learned or self.feedback is None:
+            return sizes
+        asked = 0
+        for step in range(self.first_session, self.steps, self.feedback.every):
+            if asked >= self.feedback.budget:
+                break
+            sizes.append(self.feedback.session_size(step, self.steps, asked))
+            asked += sizes[-1]
+        return sizes
+
+
+def _idle(reward: RewardConfig) -> Iterator[str]:
+    """Settings that mean nothing to how this reward is learned. A user's learner may be told anything."""
+    if reward.prior is None:  # the squared penalty, too, is the distance from a prior
+        yield from ("normaliser", "bound", "penalty")
+    if reward.bound == "tanh":
+        yield "penalty"
+    if not is_file_reference(reward.learner):
+        yield from (name for name in reward.own() if name != reward.learner)
+    yield from reward.settings.ignores
+
+
+def _defaulted(section: _S, *fields: str) -> _S:
+    return section.model_copy(update={field: type(section).model_fields[field].default for field in fields})
+
+
+def _short(name: str) -> str:
+    return name.rpartition(":")[2] if is_file_reference(name) else name

@@ -1,0 +1,163 @@
+"""Words that stand beside every table and figure: what it shows, what it holds and lacks, and how it was made."""
+
+from __future__ import annotations
+
+import json
+from collections import Counter, defaultdict
+from collections.abc import Iterable, Iterator, Sequence
+from typing import Any
+
+from rrmctl.labels import NOTHING_ASKED, Label
+from rrmctl.reports.series import Section
+from rrmctl.reports.statistics import BOOTSTRAP_SEED, SURE, Statistics
+from rrmctl.stats import MIN_RUNS, REPLICATES
+
+
+def facts(section: Section, settings: Statistics) -> dict[str, Any]:
+    """What a program must know of a table, in JSON values."""
+    return {
+        "experiment": section.experiment,
+        "profile": section.profile,
+        "variant": section.variant,
+        "overrides": dict(section.overrides),
+        "iqm_kind": settings.kind,
+        "interval": f"{SURE} percentile bootstrap over seeds, stratified by task",
+        "replicates": settings.replicates,
+        "bootstrap_seed": BOOTSTRAP_SEED,
+        "evaluation": list(section.evaluation),
+        "planned_runs": section.planned,
+        "contained_runs": section.contained,
+        "absent": [
+            {**each.label._asdict(), "seed": each.seed, "run": each.run, "state": each.state} for each in section.absent
+        ],
+        "problems": list(section.problems),
+        "mixed": list(section.mixed),
+        "remarks": list(section.remarks),
+    }
+
+
+def merged_facts(name: str, sections: Sequence[Section], settings: Statistics) -> dict[str, Any]:
+    """The same of a table made of several experiments of one profile."""
+    each = [facts(section, settings) for section in sections]
+    merged = {key: [item for found in each for item in found[key]] for key, value in each[0].items() if _listed(value)}
+    counts = {key: sum(found[key] for found in each) for key in ("planned_runs", "contained_runs")}
+    return each[0] | merged | counts | {"experiment": name, "experiments": [found["experiment"] for found in each]}
+
+
+def _listed(value: Any) -> bool:
+    return isinstance(value, list)
+
+
+def title(section: Section, name: str | None = None) -> str:
+    """Experiment (or another name), profile and overrides in one line."""
+    text = f"{name or section.experiment} · profile {section.profile}"
+    if section.profile == "smoke":
+        text += " (machinery only, not results)"
+    if section.overrides:
+        text += " · " + ", ".join(f"{key}={_plain(value)}" for key, value in section.overrides.items())
+    return text
+
+
+def _plain(value: Any) -> str:
+    return value if isinstance(value, str) else json.dumps(value)
+
+
+def contents_notes(section: Section) -> Iterator[str]:
+    """Where planned runs are not in it: how many and which; and what had to be left out or is remarkable."""
+    if section.contained < section.planned:
+        yield f"{section.contained} of {section.planned} planned runs."
+    yield from absent_notes(section)
+    yield from section.problems
+    yield from section.remarks
+
+
+def absent_notes(section: Section) -> Iterator[str]:
+    """What was planned and is not in it: a sentence for each state, and one for series read before their end."""
+    by_state: dict[str, dict[str, list[int]]] = defaultdict(lambda: defaultdict(list))
+    for each in section.absent:
+        by_state[each.state][str(each.label)].append(each.seed)
+    for state, series in by_state.items():
+        which = "; ".join(f"{name}: {_seeds(seeds)}" for name, seeds in series.items())
+        yield f"Not contained, {state}: {which}."
+    yield from early_notes(section)
+
+
+def early_notes(section: Section) -> Iterator[str]:
+    """Which series are read before their end, if any."""
+    early = [f"{s.label} up to step {s.steps[-1]:,}" for s in section.series if s.n and not s.finished]
+    if early:
+        yield f"Under way, read as far as all of their runs have come: {'; '.join(early)}."
+
+
+def short_absent_notes(section: Section) -> Iterator[str]:
+    """The same for a figure, where words are dear: methods that lack the same seeds together, teachers where needed."""
+    panels = {(each.label.task, *each.label[2:]) for each in section.series if each.label.teacher != NOTHING_ASKED}
+    several = {task for task, count in Counter(task for task, *_ in panels).items() if count > 1}
+    by_state: dict[str, dict[Label, list[int]]] = defaultdict(lambda: defaultdict(list))
+    for each in section.absent:
+        by_state[each.state][each.label].append(each.seed)
+    for state, series in by_state.items():
+        alike: dict[tuple[str, str], list[str]] = defaultdict(list)
+        for label, seeds in series.items():
+            place = label.place if label.task in several else label.task
+            alike[place, _seeds(seeds)].append(label.method)
+        which = "; ".join(f"{place}, {', '.join(names)}: {seeds}" for (place, seeds), names in alike.items())
+        yield f"Not contained, {state}: {which}."
+    yield from early_notes(section)
+
+
+def _seeds(seeds: Sequence[int]) -> str:
+    """`seed 3`, `seeds 0, 3`, `seeds 0-9`."""
+    runs: list[list[int]] = []
+    for seed in sorted(seeds):
+        if runs and seed == runs[-1][-1] + 1:
+            runs[-1].append(seed)
+        else:
+            runs.append([seed])
+    parts = (f"{run[0]}-{run[-1]}" if len(run) > 2 else ", ".join(map(str, run)) for run in runs)
+    return f"seed{'s' if len(seeds) > 1 else ''} {', '.join(parts)}"
+
+
+_KIND_IN_WORDS = {
+    "rliable": "rliable's (the lowest and highest quarter of the runs are dropped, rounded down to whole runs)",
+    "exact": "exact (fractional weights: half of the runs count, the two at the quartiles by the share inside)",
+}
+
+
+#: Fewest and most of hundred 95 % percentile intervals of an IQM that hold the true one, for so many seeds, over scores
+#: that are normal, even, lopsided or in two heaps; measured, see tests/rrmctl/reports/test_coverage.py.
+COVERAGE = {3: (71, 76), 4: (82, 87), 5: (84, 92), 7: (85, 92), 10: (90, 94), 20: (93, 95)}
+
+
+def _told_coverage(counts: Iterable[int]) -> str:
+    return ", ".join(f"{COVERAGE[n][0]}-{COVERAGE[n][1]} % with {n}" for n in counts)
+
+
+#: Seeds from which on an interval covers about what its name says.
+_ENOUGH = 10
+_USUAL_EVALUATION = "10 episodes an evaluation, success at any step of an episode, deterministic policy"
+
+#: What holds of every table, unless a note below it says otherwise.
+EXPLAINED = (
+    "n: the runs behind a row, of those planned.",
+    f"IQM: {_KIND_IN_WORDS['rliable']}, of one number per seed; its episodes are averaged first.",
+    f"Interval: {SURE} percentile bootstrap over seeds with tasks as strata, {REPLICATES:,} replicates, generator seed "
+    f"{BOOTSTRAP_SEED}; none below {MIN_RUNS} seeds. With few seeds it covers less than its name says: about "
+    f"{_told_coverage(COVERAGE)}.",
+    "25-75 %: the spread of the seeds, not an interval.",
+    "Bold: the highest of the methods but the oracle; where intervals overlap, that may be chance.",
+    f"Evaluation: {_USUAL_EVALUATION}.",
+)
+
+
+def statistics_notes(section: Section, settings: Statistics) -> Iterator[str]:
+    """In what the numbers were made otherwise than `EXPLAINED` says, and what intervals are worth with so few seeds."""
+    if settings.kind != "rliable":
+        yield f"IQM: {_KIND_IN_WORDS[settings.kind]}."
+    if settings.replicates != REPLICATES:
+        yield f"Intervals: {settings.replicates:,} replicates."
+    counts = {each.n for each in section.series if min(COVERAGE) <= each.n < _ENOUGH}
+    if counts:
+        known = sorted({max(n for n in COVERAGE if n <= count) for count in counts})
+        yield f"A {SURE} interval of so few seeds holds the truth less often: about {_told_coverage(known)}."
+    yield from (f"Evaluation: {each}." for each in section.evaluation if not _USUAL_EVALUATION.startswith(each))

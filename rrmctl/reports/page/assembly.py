@@ -1,0 +1,115 @@
+"""The page as a whole: an overview, a chapter for each variant of each experiment, and what is told of several.
+
+Everything is inside of it, and its policy lets a browser load nothing else and run no script but its own.
+"""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import shlex
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from jinja2 import Environment, PackageLoader, StrictUndefined
+
+import rrm
+from rrmctl.errors import UserError
+from rrmctl.reports import names as asked
+from rrmctl.reports.page.chapter import Variant, chapter
+from rrmctl.reports.page.listings import TROUBLE, columns
+from rrmctl.reports.page.parts import Part, Table
+from rrmctl.reports.page.table_parts import SEVERAL, gather, tables_at
+from rrmctl.reports.run_facts import total
+from rrmctl.reports.select import read_sections
+from rrmctl.reports.series import Section
+from rrmctl.reports.statistics import DEFAULTS, Statistics
+from rrmctl.reports.tables import explained
+from rrmctl.store.inventory import inventory
+from rrmctl.store.reader import open_results
+
+
+def build(
+    results: str | Path = "results",
+    experiments: Sequence[str] = (),
+    *,
+    profile: str | None = None,
+    settings: Statistics = DEFAULTS,
+    allow_mixed: bool = False,
+) -> str:
+    """The page as a document. Equal stores give equal pages.
+
+    Args:
+        experiments: only these, in this order; all of the store where none is named.
+        profile: only runs at this scale.
+        allow_mixed: take runs together that were made by different versions or precisions, and say so.
+
+    Raises:
+        UserError: the store holds no run of an experiment or profile that is named, or none at all; a file is damaged.
+    """
+    names = asked.experiments(open_results(results), experiments)
+    found = [each for name in names for each in _variants(results, name, allow_mixed=allow_mixed)]
+    asked.check_profile(profile, (str(each.runs[0].plan["profile"]) for each in found))
+    variants = [each for each in found if profile in (None, each.runs[0].plan["profile"])]
+    sections = [each.section for each in variants if isinstance(each.section, Section) and each.section.contained]
+    gathered = gather(sections, settings)
+    rules = [Part(title=title, rules=sentences) for title, sentences in explained().items()]
+    parts = [
+        _overview(variants),
+        *(chapter(each, gathered, settings) for each in variants),
+        replace(tables_at(SEVERAL, "common", gathered), title="Across experiments"),
+        Part(id="explained", title="How to read the tables", parts=rules, folded=True),
+    ]
+    page = Part(title=f"Report: {', '.join(names)}", parts=parts)
+    return render(page, _command(results, experiments, profile, settings, allow_mixed))
+
+
+def _variants(results: str | Path, experiment: str, *, allow_mixed: bool) -> Iterator[Variant]:
+    """The variants of an experiment, with what may be averaged of each or why nothing may."""
+    runs, needed = inventory(results, experiment), inventory(results, experiment, needed=True)
+    names = dict.fromkeys(str(run.plan["variant"]) for run in runs)
+    shown: dict[str, Section | UserError] = {}
+    try:
+        found = read_sections(results, experiment, allow_mixed=allow_mixed)
+        shown = {section.variant: section.refusal or section for section in found}
+    except UserError as error:
+        shown = dict.fromkeys(names, error)
+    for variant in names:
+        own, others = (tuple(run for run in group if run.plan["variant"] == variant) for group in (runs, needed))
+        yield Variant(experiment, variant, own, others, shown[variant])
+
+
+def _overview(variants: Sequence[Variant]) -> Part:
+    shown = columns("experiment", "variant", "runs", "done", "failed", "steps", "labels", "wall_s")
+    whole, rows = total(run for variant in variants for run in variant.everything), []
+    for each in variants:
+        failed = len({run.id for run in each.everything if run.plan["state"] in TROUBLE})
+        named = {"experiment": each.experiment, "link": each.id, "variant": each.name, "failed": failed}
+        rows.append(named | total(each.everything))
+    told = f"{whole['done']} of {whole['runs']} planned runs are done."
+    table = Table("What this page holds, runs that others need included", shown, rows)
+    return Part(id="overview", title="Overview", paragraphs=[told], tables=[table])
+
+
+def _command(
+    results: str | Path, experiments: Sequence[str], profile: str | None, settings: Statistics, allow_mixed: bool
+) -> str:
+    """What makes this page again."""
+    words = ["rrmctl", "report", "html", *experiments, "--results", str(results)]
+    words += [] if profile is None else ["--profile", profile]
+    words += [] if settings.kind == DEFAULTS.kind else ["--iqm", settings.kind]
+    words += [] if settings.replicates == DEFAULTS.replicates else ["--replicates", str(settings.replicates)]
+    return shlex.join([*words, *(["--allow-mixed"] if allow_mixed else [])])
+
+
+def render(page: Part, command: str) -> str:
+    """The document, whose own script is the only one that a browser runs.
+
+    Args:
+        command: what makes it again.
+    """
+    here = PackageLoader(__package__, "")
+    environment = Environment(loader=here, autoescape=True, undefined=StrictUndefined, trim_blocks=True)
+    environment.filters["digest"] = lambda text: base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()
+    return environment.get_template("page.html").render(page=page, command=command, version=rrm.__version__)

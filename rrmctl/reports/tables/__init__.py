@@ -1,0 +1,25 @@
+"""The tables: each module here is a `rrmctl report` command.
+
+A module has
+
+- a docstring, which is the command's help,
+- `EXPERIMENT: str | None`, the experiment that is read where none is named; None reads all,
+- `EXPLAINED`, sentences that `rrmctl report explain` says; notes of a report are what is particular to it alone,
+- `make(sections, settings) -> list[Report]`, the tables of these sections, and
+- where it has options of its own, `OPTIONS`, a literal with their names in `rrmctl.cli.report`.
+"""
+
+from rrmctl.reports.plugins import Entry, entries
+
+
+def kinds() -> dict[str, Entry]:
+    """The tables, by name."""
+    return entries(__file__, __name__)
+
+
+def explained(table: str | None = None) -> dict[str, tuple[str, ...]]:
+    """Sentences that hold of a table, or of every one, by its name, and those that hold of all."""
+    from rrmctl.reports.captions import EXPLAINED
+
+    own = {name: entry.load().EXPLAINED for name, entry in kinds().items() if table in (None, "all", name)}
+    return {title: sentences for title, sentences in (own | {"all tables": EXPLAINED}).items() if sentences}

@@ -1,0 +1,112 @@
+"""`config.json`: a run's configuration on its way from the plan to the worker."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from rrmctl.errors import UserError
+from rrmctl.store.files import DamagedError
+from rrmctl.store.layout import RunFolder
+from rrmctl.store.reader import CONFIG_HINT, read_config
+
+if TYPE_CHECKING:
+    from rrm.training.kinds import JobConfig
+
+_BACK = (
+    "bring it back, then `rrmctl resume` goes on; or run the experiment again with the file where it is now: the same "
+    "content is the same run, a changed one makes new runs"
+)
+
+
+class MissingFileError(UserError):
+    """A file of the user's that a run was planned with is not there now: no fault of the run's."""
+
+
+#: Keys beside those of the configuration.
+_LABELS = ("id", "cell", "method", "config_version", "kind", "steps")
+
+
+def config_content(config: JobConfig) -> dict[str, Any]:
+    """What `config.json` holds; `load_config` is the inverse."""
+    from rrm.training.run_config import CONFIG_VERSION
+
+    config = config.canonical()
+    labels = (config.identity, config.cell, config.method, CONFIG_VERSION, config.kind, config.steps)
+    return dict(zip(_LABELS, labels, strict=True)) | config.model_dump(mode="json")
+
+
+def load_config(folder: RunFolder) -> JobConfig:
+    """The run's configuration, checked against its id and against the user's files it names.
+
+    Raises:
+        DamagedError: the file is missing, damaged or edited.
+        MissingFileError: a file of the user's that it names is not there now, or is another one by now.
+        UserError, RrmError: it is of another version.
+    """
+    from pydantic import ValidationError
+
+    from rrm.errors import UnknownNameError
+    from rrm.training.kinds import config_class
+    from rrm.training.run_config import CONFIG_VERSION
+
+    stored = read_config(folder)
+    if stored.get("config_version") != CONFIG_VERSION:
+        raise UserError(
+            f"{folder.config} is of configuration version {stored.get('config_version')}, "
+            f"this program trains version {CONFIG_VERSION}",
+            "use the rrmctl that wrote it, or run the experiment into another --results folder",
+        )
+    _check_files(stored)
+    try:
+        model = config_class(str(stored.get("kind", "train")))  # written before there were kinds: a run
+    except UnknownNameError as error:
+        raise DamagedError(f"{folder.config}: {error}", CONFIG_HINT) from error
+    fields = {key: value for key, value in stored.items() if key not in _LABELS or key in model.model_fields}
+    try:
+        config: JobConfig = model.model_validate(fields)
+    except ValidationError as error:
+        raise DamagedError(f"{folder.config} is not a configuration: {error}", CONFIG_HINT) from error
+    if config.identity != folder.id:
+        told = f"{folder.config} describes run {config.identity}, not {folder.id}: it was edited"
+        raise DamagedError(told, CONFIG_HINT)
+    return config
+
+
+def code_files(stored: Mapping[str, Any]) -> dict[str, str]:
+    """The digests of the files with code that a run of this configuration would run, by path.
+
+    Frozen language priors are none of them: such code can do nothing but compute.
+    """
+    named = {path: str(digest) for key, path, digest in _user_files(stored) if key != "demos"}
+    if not named:
+        return named
+    from rrm.registry import LANGUAGE
+
+    return {path: digest for path, digest in named.items() if not path.endswith(LANGUAGE)}
+
+
+def _user_files(stored: Mapping[str, Any]) -> Iterator[tuple[str, str, Any]]:
+    """Setting, path and planned digest of each file of the user's that a configuration names."""
+    from rrm.registry import is_file_reference
+
+    for section, key in (("reward", "prior"), ("reward", "learner"), ("imitation", "demos")):
+        settings = stored.get(section) or {}
+        name = settings.get(key) if isinstance(settings, dict) else None
+        if isinstance(name, str) and (key == "demos" or is_file_reference(name)):
+            yield key, name if key == "demos" else name.rpartition(":")[0], settings.get(f"{key}_digest")
+
+
+def _check_files(stored: Mapping[str, Any]) -> None:
+    """Refuse a user's file that is not the one the run was planned with: it would be another run."""
+    from rrm.errors import ConfigError
+    from rrm.registry import file_digest
+
+    for key, path, planned in _user_files(stored):
+        try:
+            changed = file_digest(Path(path), key) != planned
+        except ConfigError as error:
+            raise MissingFileError(str(error), _BACK) from error
+        if changed:
+            raise MissingFileError(f"{path} has changed since this run was planned with it", _BACK)

@@ -1,0 +1,262 @@
+"""The supervisor: sees every job of a command to its end, whoever runs it.
+
+It handles SIGINT and SIGTERM while it runs: the first asks every worker to checkpoint and leave, the second ends them
+at once.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import signal
+import threading
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Protocol
+
+from rrmctl.errors import Exit, UserError
+from rrmctl.running.executor import Ended, Evaluated, Event, Executor, Note, Progress, Started, WorkOrder
+from rrmctl.running.scheduler import Ending, Outcome, Scheduler, Stage
+from rrmctl.store.files import StorageError
+from rrmctl.store.layout import Layout
+from rrmctl.store.owner import LEASE_S, Beat, Watch, is_owned
+from rrmctl.store.reader import blocked_by, run_status
+from rrmctl.store.status import ErrorKind, RunError, RunState, Status, record_failure
+from rrmctl.suspend_clock import WakingTime
+
+#: Longest wait between two looks at what there is to do, seconds.
+_TICK_S = 0.2
+
+#: How often in a row the system may refuse to start a process, with growing pauses: for some minutes.
+_REFUSALS = 8
+
+#: Time between two looks at runs that other processes own, seconds.
+_POLL_S = 1.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Assignment:
+    """A run the pool should see to its end."""
+
+    id: str
+    label: str  #: for people
+    steps: int = 0  #: of the whole run
+    threads: int = 1
+    attempt: int = 0  #: of its status when the command was given; a higher one later was somebody else's
+    fresh: bool = False  #: remove what the run holds and start from nothing
+    requires: Sequence[str] = ()  #: runs that must be done before it
+
+
+class Watcher(Protocol):
+    """Who is told what happens; see `rrmctl.cli.live`."""
+
+    def started(self, job: str, attempt: int) -> None:
+        """A worker took the run up."""
+
+    def beat(self, job: str, step: int, steps_per_s: float | None) -> None:
+        """Progress in environment steps."""
+
+    def row(self, job: str, step: int, success: float | None, true_return: float | None) -> None:
+        """An evaluation."""
+
+    def note(self, job: str, text: str) -> None:
+        """Something a person should read."""
+
+    def ended(self, job: str, outcome: Outcome, phase: Stage) -> None:
+        """An attempt ended; `phase` says what becomes of the job."""
+
+    def stopping(self, workers: int, wait_s: float) -> None:
+        """Workers were asked to checkpoint and leave."""
+
+    def tick(self) -> None:
+        """Called several times a second."""
+
+
+@dataclass(kw_only=True)
+class Supervisor:
+    """Runs assignments, `slots` at a time."""
+
+    layout: Layout
+    assignments: Sequence[Assignment]
+    slots: int
+    watcher: Watcher
+    executor: Executor
+    retries: int = 2
+    lease_s: float = LEASE_S  #: silence after which the runs of other processes are taken over
+    stop_after_s: float = 60.0  #: time a worker has to checkpoint and leave
+    asked: Sequence[str] = ()  #: the command, for the runs' provenance
+    _launched: set[str] = field(default_factory=set, init=False)
+    _waking: WakingTime = field(default_factory=WakingTime, init=False)
+    _signals: int = field(default=0, init=False)
+    _kill_at: float | None = field(default=None, init=False)  #: when workers that were asked to leave are ended
+    _silent: dict[str, Beat] = field(default_factory=dict, init=False)  #: runs to be taken over
+    _refusals: int = field(default=0, init=False)  #: of the system to start a process, in a row
+    _start_at: float = field(default=0.0, init=False)  #: before this moment nothing is started
+    _looked: float = field(default=0.0, init=False)  #: when runs of other processes were last looked at
+
+    def __post_init__(self) -> None:
+        self._jobs = {assignment.id: assignment for assignment in self.assignments}
+        self._watch = Watch(self.lease_s, self._waking)
+        requires = {assignment.id: assignment.requires for assignment in self.assignments if assignment.requires}
+        self.scheduler = Scheduler(self._jobs, slots=self.slots, retries=self.retries, requires=requires)
+
+    def run(self) -> Exit:
+        """See every job to its end, or to a good place to stop.
+
+        Returns:
+            `DONE`, `FAILED`, `INCOMPLETE`, or `INTERRUPTED` after a second signal.
+        """
+        with _signals_to(self._on_signal):
+            try:
+                while not self.scheduler.finished:
+                    self._look_elsewhere()
+                    self._start_waiting()
+                    for event in self.executor.events(_TICK_S):
+                        self._heed(event)
+                    self._obey()
+                    self.watcher.tick()
+                    if self._signals > 1:
+                        return Exit.INTERRUPTED
+                return self.scheduler.exit_code()
+            finally:
+                self.executor.close()
+
+    def _start_waiting(self) -> None:
+        if time.monotonic() < self._start_at:
+            return
+        while (job := self.scheduler.next()) is not None:
+            assignment, status = self._jobs[job], run_status(self.layout.run(job))
+            settled = None if job in self._launched else _settled(assignment, status)
+            if status.state is RunState.RUNNING and job not in self._silent:
+                settled = Outcome(Ending.ELSEWHERE)
+            if settled is not None:
+                self._conclude(job, settled)
+                continue
+            self.scheduler.start(job)
+            try:
+                self._launch(assignment)
+            except StorageError as error:
+                self._conclude(job, _failure(ErrorKind.STORAGE, "StorageError", str(error)))
+            except OSError as error:
+                self._wait_for_the_system(job, error)
+                return
+            self._refusals = 0
+
+    def _wait_for_the_system(self, job: str, error: OSError) -> None:
+        """It started no process, for want of memory or of numbers for it: that may pass."""
+        self.scheduler.free(job)
+        self._refusals += 1
+        if self._refusals > _REFUSALS and not self.executor.running:
+            self.watcher.note(job, f"no process can be started: {error.strerror}; giving up for now")
+            self.scheduler.stop()
+            return
+        pause = 2.0 ** min(self._refusals - 1, 6)
+        self.watcher.note(job, f"no process can be started: {error.strerror}; trying again in {pause:.0f} s")
+        self._start_at = time.monotonic() + pause
+
+    def _launch(self, assignment: Assignment) -> None:
+        options = ["--asked", json.dumps(list(self.asked))]
+        if assignment.fresh:
+            options += ["--fresh", str(assignment.attempt)]
+        if (beat := self._silent.pop(assignment.id, None)) is not None:
+            options += ["--take-over", f"{beat.owner}:{beat.count}"]
+        self.executor.submit(WorkOrder(run=assignment.id, threads=assignment.threads, options=tuple(options)))
+        self._launched.add(assignment.id)
+
+    def _look_elsewhere(self) -> None:
+        """Take over runs that other processes gave up, and take note of those they finished."""
+        if not self.scheduler.elsewhere or time.monotonic() - self._looked < _POLL_S:
+            return
+        self._looked = time.monotonic()
+        for job in self.scheduler.elsewhere:
+            folder = self.layout.run(job)
+            settled = _settled(self._jobs[job], run_status(folder))
+            if settled is not None:
+                self._conclude(job, settled)
+            elif is_owned(folder):
+                self._take_over(job)
+            else:
+                self.scheduler.free(job)
+
+    def _take_over(self, job: str) -> None:
+        """Queue a run whose owner gives no sign of life any more: each time that a lease has passed."""
+        beat = self._watch.expired(self.layout.run(job))
+        if beat is not None:
+            self.watcher.note(job, f"its owner gave no sign of life for {self.lease_s:g} s; trying to take it over")
+            self._silent[job] = beat
+            self.scheduler.free(job)
+
+    def _heed(self, event: Event) -> None:
+        match event:
+            case Started():
+                self.scheduler.resumed(event.run, event.rows)
+                self.watcher.started(event.run, event.attempt)
+            case Progress():
+                self.watcher.beat(*event)
+            case Evaluated():
+                self.watcher.row(*event)
+            case Note():
+                self.watcher.note(*event)
+            case Ended():
+                self._conclude(event.run, self._checked(event))
+
+    def _on_signal(self) -> None:
+        self._signals += 1
+
+    def _obey(self) -> None:
+        """Act on signals that have arrived, outside their handlers; and on workers that take too long to leave."""
+        if self._signals and self._kill_at is None:
+            self.scheduler.stop()
+            self._kill_at = self._waking() + self.stop_after_s
+            self.watcher.stopping(self.executor.running, self.stop_after_s)
+            self.executor.stop()
+        if self._kill_at is not None and self._waking() > self._kill_at:
+            self.executor.stop(now=True)
+
+    def _checked(self, ended: Ended) -> Outcome:
+        """How an attempt ended. Some library may end the process with exit code 0: only the status says done."""
+        if ended.outcome.ending is Ending.DONE and run_status(self.layout.run(ended.run)).state is not RunState.DONE:
+            return _failure(ErrorKind.CRASHED, "Exit", "left with exit code 0 before its end")
+        return ended.outcome
+
+    def _conclude(self, job: str, outcome: Outcome) -> None:
+        phase = self.scheduler.end(job, outcome)
+        if phase is Stage.FAILED and outcome.error is not None:
+            try:
+                record_failure(self.layout.run(job), outcome.error)
+            except UserError as error:
+                self.watcher.note(job, f"its failure could not be recorded: {error}")
+        self.watcher.ended(job, outcome, phase)
+        if phase is Stage.FAILED:
+            for blocked in self.scheduler.block(job):
+                self.watcher.ended(blocked, Outcome(Ending.BLOCKED, blocked_by(job, outcome.error)), Stage.BLOCKED)
+
+
+def _settled(assignment: Assignment, status: Status) -> Outcome | None:
+    """How a run ended in another process' hands since the command was given; None if there is work left."""
+    if status.attempt <= assignment.attempt:
+        return None
+    if status.state is RunState.DONE:
+        return Outcome(Ending.DONE)
+    if status.state is RunState.FAILED:
+        return Outcome(Ending.FAILED, status.error)
+    return None
+
+
+def _failure(kind: ErrorKind, name: str, message: str) -> Outcome:
+    return Outcome(Ending.FAILED, RunError(kind=kind, type=name, message=message))
+
+
+@contextlib.contextmanager
+def _signals_to(handler: Callable[[], None]) -> Iterator[None]:
+    """Call `handler` on SIGINT and SIGTERM. Main thread only: Python allows handlers nowhere else."""
+    before: dict[signal.Signals, Any] = {}
+    if threading.current_thread() is threading.main_thread():
+        for number in (signal.SIGINT, signal.SIGTERM):
+            before[number] = signal.signal(number, lambda _number, _frame: handler())
+    try:
+        yield
+    finally:
+        for number, old in before.items():
+            signal.signal(number, old)

@@ -1,0 +1,146 @@
+"""The runs that an experiment needs beside its own."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from rrm.imitation.demos import Demonstrations
+from rrm.training.demos_config import DemosConfig
+from rrm.training.run_config import RunConfig
+from rrmctl.errors import UserError
+from rrmctl.planning.manifest import load, parse
+from rrmctl.planning.plan import Plan, make_plan
+
+EXPERIMENTS = Path(__file__).parents[3] / "experiments"
+MAIN = load(EXPERIMENTS / "main-results.toml")
+
+
+def manifest(tmp_path: Path, **table: object) -> object:
+    base = {"title": "t", "reproduces": ["r"], "rule": "r"}
+    return parse(base | table, tmp_path / "mine.toml")
+
+
+def chain(plan: Plan) -> dict[str, str]:
+    """Every run of the chain by its name."""
+    return {job.method: job.id for job in plan.needed}
+
+
+@pytest.mark.parametrize("scale", ["paper", "laptop", "quickstart", "smoke"])
+def test_the_chain(scale: str) -> None:
+    """Prior on demonstrations on the oracle of seed 0, which the experiment has already; one for all seeds."""
+    plan = make_plan(MAIN, profile=scale, tasks=["button-press"], seeds=3)
+    demos, airl = plan.needed
+    (oracle,) = (job for job in plan.jobs if (job.method, job.seed) == ("oracle", 0))
+    assert isinstance(demos.config, DemosConfig)
+    assert isinstance(airl.config, RunConfig)
+    assert (demos.method, airl.method, airl.seed) == ("demos", "airl", 0)
+    assert demos.config.requires == (oracle.id,)
+    assert airl.config.requires == (demos.id,)
+    assert [job.config.requires for job in plan.jobs if job.method == "rrm-imitation"] == [(airl.id,)] * 3
+    assert all(not job.config.requires for job in plan.jobs if job.method != "rrm-imitation")
+
+
+def test_the_papers_numbers() -> None:
+    """Appendix: a million steps after 5000 random ones, 100 steps of 128 + 128 every 1000, 50 demonstrations."""
+    demos, airl = make_plan(MAIN, tasks=["button-press"]).needed
+    config = airl.config
+    assert isinstance(config, RunConfig)
+    assert isinstance(demos.config, DemosConfig)
+    assert (config.steps, config.random_steps, demos.config.episodes) == (1_000_000, 5000, 50)
+    imitation = config.imitation
+    assert (imitation.every, imitation.updates, imitation.minibatch, imitation.window) == (1000, 100, 128, 50_000)
+    assert (imitation.hidden, imitation.layers, imitation.lr) == (256, 3, 1e-4)
+
+
+def test_profiles_scale_the_chain() -> None:
+    """Each scale trains its own prior, and a shorter one is cheaper."""
+    lengths = {}
+    for scale in ("paper", "laptop", "quickstart", "smoke"):
+        plan = make_plan(MAIN, profile=scale, tasks=["button-press"])
+        lengths[scale] = {job.method: job.config.steps for job in plan.needed}["airl"]
+    assert lengths == {"paper": 1_000_000, "laptop": 60_000, "quickstart": 20_000, "smoke": 300}
+
+
+def test_experiments_share_their_priors() -> None:
+    """Steps, teacher and feedback of an experiment do not reach the chain: it is the profile's."""
+    plans = [make_plan(load(EXPERIMENTS / f"{name}.toml"), tasks=["button-press"])
+             for name in ("main-results", "noisy-teacher", "finetune")]  # fmt: skip
+    assert len({chain(plan)["airl"] for plan in plans}) == 1
+    oracles = [next(job.id for job in plan.jobs if job.method == "oracle") for plan in plans[:2]]
+    assert {*oracles, chain(plans[2])["expert"]} == {oracles[0]}
+    assert {job.config.steps for job in plans[1].jobs} == {300_000, 500_000}
+
+
+def test_settings_of_the_chain_reach_it_and_those_who_need_it() -> None:
+    """`imitation.*` alone, in proportion to the profile in a manifest and as it stands after --set."""
+    plans = [make_plan(MAIN, profile="laptop", tasks=["button-press"], methods=["rrm-imitation"], overrides=given)
+             for given in ([], ["imitation.steps=9000"], ["agent.batch=64"])]  # fmt: skip
+    ids = [{job.id for job in plan.jobs} for plan in plans]
+    assert not ids[0] & ids[1]
+    assert chain(plans[0])["airl"] != chain(plans[1])["airl"]
+    assert chain(plans[0])["demos"] == chain(plans[1])["demos"]
+    assert chain(plans[0]) == chain(plans[2])
+    assert plans[1].needed[-1].config.steps == 9000
+
+
+def test_amounts_in_a_manifest_shrink_with_the_profile(tmp_path: Path) -> None:
+    """Half the paper's length is half the laptop's."""
+    mine = manifest(
+        tmp_path,
+        grid={"tasks": ["button-press"], "methods": ["rrm-imitation"]},
+        defaults={"imitation": {"steps": 500_000}},
+    )
+    assert make_plan(mine, profile="laptop").needed[-1].config.steps == 30_000  # type: ignore[arg-type]
+
+
+def test_fine_tuning_needs_demonstrations_alone() -> None:
+    """It trains its own g."""
+    plan = make_plan(load(EXPERIMENTS / "finetune.toml"), methods=["finetune"])
+    assert list(chain(plan)) == ["expert", "demos"]
+    config = plan.jobs[0].config
+    assert isinstance(config, RunConfig)
+    assert config.requires == (chain(plan)["demos"],)
+    assert (config.random_steps, config.first_session) == (5000, 400_000)
+    assert config.sessions() == 20
+
+
+def demonstrations(path: Path, value: float = 0.0) -> None:
+    obs = np.full((2, 15), value, np.float32)
+    Demonstrations(
+        obs=obs, next_obs=obs, act=np.zeros((2, 2), np.float32), terminated=np.zeros(2, np.uint8),
+        lengths=np.array([2]), returns=np.zeros(1), successes=np.ones(1), provenance={"task": "toy-car"},
+    ).save(path)  # fmt: skip
+
+
+def test_demonstrations_of_ones_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nothing collects any; the content is part of the prior's identity; paths are seen from where they are written."""
+    toy = load(EXPERIMENTS / "toy-car.toml")
+    ids = []
+    for name, value in (("a", 0.0), ("b", 0.0), ("c", 1.0)):
+        (tmp_path / name).mkdir()
+        monkeypatch.chdir(tmp_path / name)
+        demonstrations(Path("d.safetensors"), value)
+        plan = make_plan(toy, priors=["imitation"], methods=["oracle"], overrides=["imitation.demos=d.safetensors"])
+        assert list(chain(plan)) == ["airl"]
+        ids.append(chain(plan)["airl"])
+    assert ids[0] == ids[1] != ids[2]
+    shutil.copy("d.safetensors", tmp_path / "d.safetensors")
+    monkeypatch.chdir("/")
+    mine = manifest(
+        tmp_path, grid={"tasks": ["toy-car"], "methods": ["sac-imitation"]},
+        defaults={"imitation": {"demos": "d.safetensors"}},
+    )  # fmt: skip
+    assert chain(make_plan(mine))["airl"] == ids[2]  # type: ignore[arg-type]
+    with pytest.raises(UserError, match=r"toy-car, rrm-imitation: cannot read /nowhere"):
+        make_plan(toy, priors=["imitation"], methods=["oracle"], overrides=["imitation.demos=/nowhere"])
+
+
+def test_what_planning_decides_cannot_be_set() -> None:
+    """Identities of the chain are not a person's to give."""
+    for key in ("reward.prior_run", "imitation.demos_run", "imitation.demos_digest"):
+        with pytest.raises(UserError, match="cannot be set here"):
+            make_plan(MAIN, overrides=[f"{key}=0123456789abcdef"])

@@ -1,0 +1,227 @@
+import json
+import shlex
+
+import pytest
+from typer.testing import CliRunner
+
+from rrmctl.cli.app import app
+from rrmctl.errors import UserError
+from rrmctl.reports import aggregates, comparability
+from rrmctl.reports.render import FORMATS
+from rrmctl.reports.select import of_profile, read_sections
+from rrmctl.store.layout import Layout
+from tests.rrmctl.reports.frames import RECORDED, RISING, Sweep
+
+SEEDS = [("button-press", "pebble", seed) for seed in range(5)]
+TASK = "button-press"
+
+
+def rrmctl(*arguments):
+    return CliRunner().invoke(app, [str(each) for each in arguments])
+
+
+def shown(root, profile=None):
+    return of_profile(read_sections(root), profile)
+
+
+@pytest.fixture
+def installed(monkeypatch):
+    """What a run made now would be made with, here as most runs of these stores."""
+    versions = {"rrmctl": "0.1.0", **RECORDED["versions"], "metaworld": "3.1.1", "mujoco": "3.3.0"}
+    monkeypatch.setattr(comparability, "version", versions.get)
+    return versions
+
+
+def changed(**facts):
+    return RECORDED | facts
+
+
+def old(method, *seeds):
+    return {(TASK, method, seed): 1 for seed in seeds}
+
+
+def by_method(section):
+    return {each.label.method: each for each in section.series}
+
+
+def test_equal_making_is_no_matter(tmp_path):
+    """Runs made alike are reported without a word about it."""
+    Sweep().write(tmp_path)
+    (section,) = read_sections(tmp_path)
+    assert (section.mixed, section.remarks, section.problems) == ((), (), ())
+
+
+def test_configuration_versions_do_not_meet(tmp_path):
+    """Old and new runs in one experiment are refused; the message names them and the command that trains them anew."""
+    Sweep(versions=old("pebble", 0, 1, 2, 3, 4)).write(tmp_path)
+    with pytest.raises(
+        UserError, match=r"configuration version is 1 in 5 runs \(button-press pebble .*2 in 10 runs"
+    ) as found:
+        shown(tmp_path)
+    command = "rrmctl run main-results --profile laptop --tasks button-press --methods pebble --seeds 0,1,2,3,4"
+    assert command in str(found.value.hint)
+    assert "--allow-mixed" in str(found.value.hint)
+
+
+@pytest.mark.parametrize(
+    ("recorded", "words"),
+    [
+        (changed(versions={"rrmctl": "0.2.0", "torch": "2.6.0"}), "rrmctl is 0.1.0 in 14 runs"),
+        (changed(versions={"rrmctl": "0.1.0", "torch": "2.7.1"}), "torch is 2.6.0 in 14 runs"),
+        (changed(fingerprint={"metaworld": "3.0.0", "mujoco": "3.3.0", "true_reward": "aaaa"}), "metaworld is 3.0.0"),
+        (changed(fingerprint={"metaworld": "3.1.1", "mujoco": "3.3.0", "true_reward": "b"}), "true reward on fixed"),
+        (changed(resumed=[{"changes": {"versions.torch": ["2.6.0", "2.7.1"]}}]), "2.6.0, then 2.7.1 in 1 run"),
+    ],
+)  # fmt: skip
+def test_packages_and_simulators_do_not_meet(tmp_path, recorded, words, installed):
+    """One run of another package, simulator or true reward is refused, and so is one resumed under another version."""
+    Sweep(recorded={SEEDS[2]: recorded}).write(tmp_path)
+    with pytest.raises(UserError, match=words) as found:
+        shown(tmp_path)
+    again = f"--tasks button-press --methods pebble --seeds 2, --results {tmp_path} --force`"
+    assert (again in str(found.value.hint)) == ("true reward" not in words)  # that of now is not known without a run
+
+
+def test_runs_of_the_installed_version_are_left_alone(tmp_path, installed):
+    """Ten of another torch, five of the one that is installed: the ten are trained anew, though they are more."""
+    installed["torch"] = "2.7.1"
+    Sweep(recorded=dict.fromkeys(SEEDS, changed(versions={"rrmctl": "0.1.0", "torch": "2.7.1"}))).write(tmp_path)
+    with pytest.raises(UserError) as found:
+        shown(tmp_path)
+    assert "--tasks button-press --methods oracle,rrm-proxy --seeds 0,1,2,3,4 " in str(found.value.hint)
+    assert "pebble" not in str(found.value.hint)
+
+
+def test_no_other_run_is_trained_anew(tmp_path, installed):
+    """A command for each task and set of seeds: no product of all tasks, methods and seeds that are named."""
+    old = changed(versions={"rrmctl": "0.1.0", "torch": "2.4.0"})
+    keys = [(TASK, "pebble", 3), ("door-open", "oracle", 1), ("door-open", "rrm-proxy", 1)]
+    overrides = {"agent.batch": 64, "precision": "bfloat16", "trace": True}
+    sweep = Sweep(tasks=(TASK, "door-open"), recorded=dict.fromkeys(keys, old), overrides=overrides)
+    sweep.write(tmp_path)
+    with pytest.raises(UserError) as found:
+        shown(tmp_path)
+    commands = [shlex.split(each) for each in str(found.value.hint).split("`")[1::2]]
+    start = ["rrmctl", "run", "main-results", "--profile", "laptop"]
+    start += ["--set", "agent.batch=64", "--set", "precision=bfloat16", "--set", "trace=true"]
+    assert commands == [
+        [*start, "--tasks", task, "--methods", methods, "--seeds", seeds, "--results", str(tmp_path), "--force"]
+        for task, methods, seeds in ((TASK, "pebble", "3,"), ("door-open", "oracle,rrm-proxy", "1,"))
+    ]
+
+
+def test_one_variant_refuses_no_other(tmp_path):
+    """Mixed runs of one profile are refused where they are asked for; the other profile is reported."""
+    Sweep(versions=old("pebble", 0, 1)).write(tmp_path)
+    Sweep(profile="paper", variant="paper").write(tmp_path)
+    assert [each.profile for each in shown(tmp_path, "paper")] == ["paper"]
+    for profile in ("laptop", None):
+        with pytest.raises(UserError, match="main-results, profile laptop: its runs do not belong"):
+            shown(tmp_path, profile)
+    made = rrmctl("report", "iqm", "--results", tmp_path, "--profile", "paper", "--replicates", 100)
+    assert made.exit_code == 0
+
+
+def test_a_variant_of_several_configurations_refuses_no_other(tmp_path):
+    """The same where runs of one series differ in more than their seed, which no option allows."""
+    Sweep(cells={SEEDS[3]: "feedfeedfeedfeed"}).write(tmp_path)
+    Sweep(profile="paper", variant="paper").write(tmp_path)
+    assert len(shown(tmp_path, "paper")) == 1
+    with pytest.raises(UserError, match="2 different configurations"):
+        of_profile(read_sections(tmp_path, allow_mixed=True), "laptop")
+
+
+def test_a_methods_precision_is_its_own_but_one(tmp_path):
+    """Methods may differ in precision, which is said; the runs of one method may not."""
+    Sweep(precisions=dict.fromkeys(SEEDS, "bfloat16")).write(tmp_path / "methods")
+    (section,) = read_sections(tmp_path / "methods")
+    assert section.remarks == ("Methods differ in precision: bfloat16: pebble; float32: oracle, rrm-proxy.",)
+    Sweep(precisions={SEEDS[0]: "bfloat16"}).write(tmp_path / "seeds")
+    with pytest.raises(UserError, match=r"precision of pebble is bfloat16 in 1 run .*float32 in 4 runs"):
+        shown(tmp_path / "seeds")
+
+
+def test_environments_differ_by_task(tmp_path):
+    """Two tasks have two true rewards and two simulators, and may stand in one table."""
+    toy = changed(fingerprint={"true_reward": "bbbb"})
+    keys = [("toy-car", method, seed) for method in RISING for seed in range(5)]
+    Sweep(tasks=(TASK, "toy-car"), recorded=dict.fromkeys(keys, toy)).write(tmp_path)
+    (section,) = read_sections(tmp_path)
+    assert section.mixed == ()
+
+
+def test_states_of_the_code_are_said(tmp_path):
+    """The digest of the sources changes with every commit: it is told and refuses nothing."""
+    Sweep(recorded={SEEDS[0]: changed(code="beef"), SEEDS[1]: changed(code="feed")}).write(tmp_path)
+    (section,) = read_sections(tmp_path)
+    assert section.remarks == ("The runs were made by 3 states of the code (digests of its sources).",)
+
+
+def test_runs_of_which_nothing_is_known_are_named(tmp_path):
+    """A run without provenance cannot be compared, and a note says which."""
+    Sweep(recorded={SEEDS[0]: {}}).write(tmp_path)
+    (section,) = read_sections(tmp_path)
+    assert section.remarks[0].startswith("Nothing was recorded of how these were made")
+    assert "1 run (button-press pebble" in section.remarks[0]
+
+
+@pytest.mark.parametrize("form", FORMATS)
+def test_a_mixed_table_says_so_in_every_form(tmp_path, form):
+    """`--allow-mixed` shows the table; each form says that it is mixed and how."""
+    Sweep(versions=old("pebble", 0, 1, 2, 3, 4)).write(tmp_path)
+    options = ("--results", tmp_path, "--format", form, "--replicates", 100)
+    refused = rrmctl("report", "iqm", "main-results", *options)
+    assert refused.exit_code == 2
+    assert "do not belong in one report" in refused.stderr
+    shown = rrmctl("report", "iqm", "main-results", "--allow-mixed", *options)
+    assert shown.exit_code == 0
+    text = " ".join(shown.stdout.split())
+    assert "MIXED: configuration version is 1 in 5 runs" in text
+    if form == "json":
+        assert json.loads(shown.stdout)["reports"][0]["mixed"]
+
+
+def test_mixed_curves_are_drawn_on_demand_and_never_kept(tmp_path):
+    """`plot` takes the option too; the aggregated file, which has no room for a note, is not written."""
+    Sweep(versions=old("pebble", 0, 1, 2, 3, 4)).write(tmp_path)
+    assert rrmctl("plot", "main-results", "--results", tmp_path).exit_code == 2
+    assert rrmctl("plot", "main-results", "--results", tmp_path, "--allow-mixed").exit_code == 0
+    for allowed in (False, True):  # the file is of all variants
+        with pytest.raises(UserError, match="not kept"):
+            aggregates.write(Layout(tmp_path), read_sections(tmp_path, allow_mixed=allowed))
+    assert not (tmp_path / "aggregates").exists()
+
+
+def test_what_was_trained_anew_takes_the_place_of_the_old(tmp_path):
+    """After a sweep with a newer version the old runs are left out, which is said; they are not planned nor absent."""
+    Sweep(versions={(TASK, m, s): 1 for m in RISING for s in range(5)}).write(tmp_path)
+    (before,) = read_sections(tmp_path)
+    Sweep().write(tmp_path)
+    (section,) = read_sections(tmp_path)
+    assert (section.planned, section.contained, section.absent, section.mixed) == (15, 15, (), ())
+    assert set(by_method(section)["pebble"].runs).isdisjoint(by_method(before)["pebble"].runs)
+    assert section.problems == (
+        "15 runs are left out: of other settings, files or versions than what was asked for since.",
+    )
+
+
+def test_the_old_runs_are_left_out_from_the_moment_others_are_asked_for(tmp_path):
+    """While no run of the newer version is done there is nothing to report, and the new ones are named as absent."""
+    keys = [(TASK, m, s) for m in RISING for s in range(5)]
+    Sweep(versions=dict.fromkeys(keys, 1)).write(tmp_path)
+    Sweep(states=dict.fromkeys(keys, "queued"), lengths=dict.fromkeys(keys, 0)).write(tmp_path)
+    (section,) = read_sections(tmp_path)
+    assert (section.contained, len(section.absent), {each.state for each in section.absent}) == (0, 15, {"queued"})
+    with pytest.raises(UserError, match="of the planned ones 15 queued; 15 runs are left out: "):
+        shown(tmp_path)
+
+
+def test_half_a_new_sweep_is_a_mixture(tmp_path):
+    """Where only some seeds were trained anew, the rest are of the old version, and the two do not meet."""
+    Sweep(versions={(TASK, m, s): 1 for m in RISING for s in range(5)}).write(tmp_path)
+    Sweep(curves={"pebble": RISING["pebble"][:2]}).write(tmp_path)
+    with pytest.raises(UserError, match=r"configuration version is 1 in 13 runs .* 2 in 2 runs"):
+        shown(tmp_path)
+    (section,) = read_sections(tmp_path, allow_mixed=True)
+    assert by_method(section)["pebble"].seeds == (0, 1, 2, 3, 4)
+    assert (section.planned, section.contained) == (15, 15)
