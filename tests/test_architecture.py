@@ -28,11 +28,11 @@ KNOW_RRM = {
     *(
         "planning.methods",
         "planning.settings",
-        "planning.cells",
-        "planning.needs",
+        "planning.layering",
+        "planning.prerequisites",
     ),  # names and settings become configurations
     "running.demos",  # collects demonstrations that people ask for
-    *("running.runfile", "running.worker"),  # a configuration's way into the process that trains
+    *("running.config_file", "running.worker"),  # a configuration's way into the process that trains
     "cli.prior",  # candidates of a language model become priors of the library
 }
 #: Light, and the one place for what they say: the version, tasks and how they are scored, errors, files, arithmetic.

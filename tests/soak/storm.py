@@ -20,7 +20,7 @@ from rrmctl.running.supervisor import Assignment, Supervisor
 from rrmctl.store.reader import run_status
 from rrmctl.store.status import RunState, read_status
 from tests.rrmctl.running.standin import COMMAND, STEP_S, expected, prepare
-from tests.rrmctl.running.test_pool import Record, rows
+from tests.rrmctl.running.test_supervisor import Record, rows
 
 WORKERS, EVALUATIONS = 20, 4
 

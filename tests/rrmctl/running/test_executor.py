@@ -14,7 +14,7 @@ from rrmctl.running.supervisor import Supervisor
 from rrmctl.store.layout import Layout
 from rrmctl.store.status import ErrorKind, RunError, RunState, Status, read_status, write_status
 from tests.rrmctl.running.standin import prepare
-from tests.rrmctl.running.test_pool import Record
+from tests.rrmctl.running.test_supervisor import Record
 
 CRASH = Outcome(Ending.FAILED, RunError(kind=ErrorKind.CRASHED, type="RuntimeError", message="boom"))
 

@@ -21,7 +21,7 @@ from rrmctl.store.layout import RunFolder
 from rrmctl.store.owner import read_beat
 from rrmctl.store.status import RunState, read_status
 from tests.rrmctl.running.standin import expected, live_on, prepare
-from tests.rrmctl.running.test_pool import (
+from tests.rrmctl.running.test_supervisor import (
     PARENT,
     Record,
     alive,

@@ -37,12 +37,12 @@ PARENT = """
 import sys
 from pathlib import Path
 from tests.rrmctl.running.standin import COMMAND, prepare
-from tests.rrmctl.running.test_pool import Record
+from tests.rrmctl.running.test_supervisor import Record
 from rrmctl.running.local import LocalExecutor
-from rrmctl.running.supervisor import Pool
+from rrmctl.running.supervisor import Supervisor
 root, (jobs, slots, steps, lease_s) = Path(sys.argv[1]), map(int, sys.argv[2:])
 layout, assigned = prepare(root, range(jobs), steps)
-sys.exit(Pool(
+sys.exit(Supervisor(
     layout=layout, assignments=assigned, slots=slots, watcher=Record(), lease_s=lease_s,
     executor=LocalExecutor(layout=layout, command=COMMAND),
 ).run())
