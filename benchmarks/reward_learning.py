@@ -15,6 +15,7 @@ from benchmarks.sac_update import ACT, OBS, product
 from rrm.buffers.experience import Experience
 from rrm.buffers.pairs import PairRing, Preferences, StoredFeedback
 from rrm.config import AgentConfig, RewardConfig
+from rrm.envs import Spaces
 from rrm.nets.precision import rounds
 from rrm.precision import Precision
 from rrm.rewards.pebble import Pebble
@@ -69,7 +70,7 @@ def _flop_per_row() -> tuple[float, float]:
 def _lived() -> Experience:
     """Random transitions in episodes of Meta-World's length."""
     rng = np.random.default_rng(0)
-    experience = Experience(ROWS, EPISODE, OBS, ACT)
+    experience = Experience(ROWS, EPISODE, Spaces(OBS, ACT))
     obs = rng.standard_normal((1000, OBS), np.float32)
     act = rng.uniform(-1, 1, (1000, ACT)).astype(np.float32)
     for step in range(ROWS):

@@ -14,6 +14,7 @@ import torch
 from benchmarks.lines import Line, in_turns
 from rrm.agents.sac import Sac
 from rrm.config import AgentConfig
+from rrm.envs import Spaces
 from rrm.nets.precision import rounds
 from rrm.precision import Precision
 from rrm.seeding import Streams
@@ -64,7 +65,7 @@ def update_flop(config: AgentConfig) -> float:
 
 def agent_update(config: AgentConfig, precision: Precision) -> Callable[[], None]:
     """An agent's update on random data."""
-    sac = Sac(config, OBS, ACT, Streams(0), precision=precision)
+    sac = Sac(config, Spaces(OBS, ACT), Streams(0), precision=precision)
     rows = config.batch
     obs, next_obs = torch.randn(2, rows, OBS)
     batch = Batch(obs, torch.rand(rows, ACT) * 2 - 1, torch.zeros(rows), torch.randn(rows), next_obs, torch.ones(rows))

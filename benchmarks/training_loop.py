@@ -143,7 +143,7 @@ def _simulate(trainer: Trainer, act: np.ndarray) -> None:
 
 
 def _append(trainer: Trainer, act: np.ndarray) -> None:
-    trainer.experience.append(Transition(trainer._obs, act, trainer._obs, 0.0, 0.0, 0.0, False, False), 0.0)
+    trainer.experience.append(Transition(trainer._obs.state, act, trainer._obs.state, 0.0, 0.0, 0.0, False, False), 0.0)
 
 
 def _median_of(work: Callable[[], object], calls: int) -> float:

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     import gymnasium
     from torch import Tensor
 
-    from rrm.types import Batch, Floats, Segments, State
+    from rrm.types import Batch, Floats, Obs, Pixels, Segments, State
 
 __all__ = [
     "Agent", "Answer", "CriticAgent", "Env", "Feedback", "Needs", "Query", "RewardFunction", "RewardLearner",
@@ -54,6 +54,9 @@ class Env(Protocol):
     def step(self, action: Floats) -> tuple[Floats, float, bool, bool, dict[str, Any]]:
         """One environment step: observation, true reward, terminated, truncated, info."""
 
+    def frame(self) -> Pixels:
+        """The camera's picture of the simulator as it is, of the task's `FrameSpace`; only of tasks that have one."""
+
     def state_dict(self) -> State:
         """Simulator, task instance, step counter and random stream, at any moment between two steps."""
 
@@ -65,12 +68,15 @@ class Env(Protocol):
 
 
 class Agent(Stateful, Protocol):
-    """An off-policy agent. It receives batches and knows neither environment nor buffer."""
+    """An off-policy agent, made as `AGENTS[...](config, spaces, streams, precision=...)`.
+
+    It receives batches and knows neither environment nor buffer.
+    """
 
     updates: int  #: finished so far
 
-    def act(self, obs: Floats, *, explore: bool) -> Floats:
-        """Action float32 [A] for one observation float32 [O]: a sample when exploring, else the deterministic one."""
+    def act(self, obs: Obs, *, explore: bool) -> Floats:
+        """Action float32 [A] for one observation: a sample when exploring, else the deterministic one."""
 
     def update(self, batch: Batch) -> None:
         """One round of gradient steps (critic, actor, temperature, targets when due)."""

@@ -15,7 +15,7 @@ import torch
 
 from rrm.checkpoint import read_networks
 from rrm.config import EvaluationConfig
-from rrm.envs import make
+from rrm.envs.observer import Observer
 from rrm.errors import ConfigError
 from rrm.files import make_folder, place, read_bounded, write_atomically
 from rrm.interfaces import Agent, Env, RewardFunction
@@ -25,7 +25,7 @@ from rrm.training.evaluate import evaluate
 from rrm.training.jobs import train as train_job
 from rrm.training.prior_values import PriorSource
 from rrm.training.run_config import RunConfig
-from rrm.types import EvalRow, Evaluation, Floats, State
+from rrm.types import EvalRow, Evaluation, Floats, Obs, State
 
 _LARGEST_CONFIG = 1_000_000  # bytes
 
@@ -101,11 +101,11 @@ class Finished:
 
     def policy(self, obs: Floats) -> Floats:
         """The deterministic action, float32 [A] in [-1, 1], for an observation float32 [O]."""
-        return self.agent.act(np.asarray(obs, np.float32), explore=False)
+        return self.agent.act(Obs(np.asarray(obs, np.float32)), explore=False)
 
     def evaluate(self, episodes: int = 10, seed: int = 0) -> Evaluation:
         """Play episodes of the run's task, whose instances follow from the seed."""
-        env = make(self.config.task, horizon=self.config.horizon)
+        env = Observer(self.config.task, self.config.horizon)
         try:
             return evaluate(self.agent, env, EvaluationConfig(episodes=episodes), seed=seed, step=0)
         finally:

@@ -15,10 +15,23 @@ if TYPE_CHECKING:
     from torch import Tensor
 
 Floats = npt.NDArray[np.float32]
+Pixels = npt.NDArray[np.uint8]
 
 #: What `state_dict` returns: nested dicts and lists of tensors, numpy arrays and JSON values. No other objects, so that
 #: a checkpoint can be written without a pickle.
 State = dict[str, Any]
+
+
+class Obs(NamedTuple):
+    """What an agent acts on."""
+
+    state: Floats  #: [O]
+    frames: Pixels | None = None  #: the newest ones [stack, height, width, channels] on tasks with a camera
+
+    @property
+    def newest(self) -> Pixels | None:
+        """The picture of this state, where there is one."""
+        return None if self.frames is None else self.frames[-1]
 
 
 class Batch(NamedTuple):
@@ -30,6 +43,8 @@ class Batch(NamedTuple):
     reward: Tensor  #: float32 [B], what the agent is trained on
     next_obs: Tensor  #: float32 [B, O]
     continues: Tensor  #: float32 [B], 0 where the task terminated (a time limit is not a termination), else 1
+    frames: Tensor | None = None  #: uint8 [B, stack, height, width, channels] on tasks with a camera
+    next_frames: Tensor | None = None  #: likewise, one step later
 
 
 class Segments(NamedTuple):
@@ -51,6 +66,8 @@ class Transition(NamedTuple):
     true_reward: float
     terminated: bool  #: cuts the bootstrap
     truncated: bool  #: a time limit, which does not
+    frame: Pixels | None = None  #: at `obs`, [height, width, channels] on tasks with a camera
+    next_frame: Pixels | None = None  #: at `next_obs`
 
 
 class Evaluation(NamedTuple):

@@ -275,7 +275,7 @@ def test_every_task_loads(name: str) -> None:
     """Each task's class can be imported, and its features lie inside the observation."""
     task = TASKS[name]
     assert isinstance(lookup({name: task.entry_point}, "task", name), type)
-    assert all(0 <= part.start < part.stop <= task.obs_dim for part in task.features.values())
+    assert all(0 <= part.start < part.stop <= task.spaces.obs for part in task.features.values())
 
 
 def test_profiles_speak_of_what_exists() -> None:

@@ -25,9 +25,10 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from rrm.config import AgentConfig
+    from rrm.envs.tasks import Spaces
     from rrm.precision import Precision
     from rrm.seeding import Streams
-    from rrm.types import Batch, Floats, State
+    from rrm.types import Batch, Floats, Obs, State
 
 _LARGEST = 1 - 1e-6  #: of an action whose density is asked for; float32's tanh rounds to one, where atanh is infinite
 
@@ -108,7 +109,7 @@ class Sac:
 
     Args:
         config: sizes, step sizes, discount and target rate.
-        obs_dim, act_dim: features of an observation, dimensions of an action.
+        spaces: of observations and actions; frames are not looked at.
         streams: `init` draws weights, `agent` the noise of updates, `explore` the noise of actions taken, `lookahead`
             that of targets somebody else asks for.
         precision: of products between hidden layers (`rrm.nets.precision`).
@@ -118,15 +119,14 @@ class Sac:
     def __init__(
         self,
         config: AgentConfig,
-        obs_dim: int,
-        act_dim: int,
+        spaces: Spaces,
         streams: Streams,
         *,
         precision: Precision = "float32",
         device: str = "cpu",
     ) -> None:
         self.config = config
-        self.obs_dim, self.act_dim = obs_dim, act_dim
+        self.obs_dim, self.act_dim = obs_dim, act_dim = spaces.obs, spaces.act
         self.critic_lr = config.critic_lr
         self.updates = 0  #: finished updates
         self._init = streams.torch("init", device)
@@ -152,13 +152,13 @@ class Sac:
         self._space = _Workspace(self.actor, self.critic, config.batch)
 
     @torch.no_grad()
-    def act(self, obs: Floats, *, explore: bool) -> Floats:
-        """Action float32 [A] in [-1, 1] for one observation float32 [O].
+    def act(self, obs: Obs, *, explore: bool) -> Floats:
+        """Action float32 [A] in [-1, 1] for one observation.
 
         Raises:
             NumericalError: the action is not finite, because the observation is not or because training diverged.
         """
-        row = torch.tensor(obs, dtype=torch.float32, device=self.actor.flat.device).unsqueeze(0)
+        row = torch.tensor(obs.state, dtype=torch.float32, device=self.actor.flat.device).unsqueeze(0)
         head = self.actor.forward(row, self._acting)[0]
         if explore:
             noise = torch.randn(self.act_dim, 1, generator=self._explore, device=head.device)
@@ -168,8 +168,9 @@ class Sac:
         action: Floats = act[:, 0].clamp_(-1, 1).cpu().numpy()
         if not np.isfinite(action).all():
             raise NumericalError(
-                f"the action after {self.updates} updates is {action.tolist()} for the observation {obs.tolist()}; "
-                "look for rewards or observations that are not finite, then for step sizes that are too large"
+                f"the action after {self.updates} updates is {action.tolist()} for the observation "
+                f"{obs.state.tolist()}; look for rewards or observations that are not finite, then for step sizes "
+                "that are too large"
             )
         return action
 

@@ -20,9 +20,11 @@ import torch
 from torch import Tensor
 
 from rrm.buffers.columns import Columns
+from rrm.buffers.frames import Frames
 from rrm.types import Batch, Segments, Transition
 
 if TYPE_CHECKING:
+    from rrm.envs.tasks import Spaces
     from rrm.types import Floats, State
 
 #: What a row is; _END is the observation behind an episode's last step.
@@ -40,9 +42,10 @@ class Episode(NamedTuple):
 class Experience(Columns):
     """Transitions of one run; rows are appended, only the learned reward changes."""
 
-    def __init__(self, steps: int, horizon: int, obs_dim: int, act_dim: int) -> None:
+    def __init__(self, steps: int, horizon: int, spaces: Spaces) -> None:
         """Args: steps: transitions to make room for; horizon: of an episode that does not end before its time."""
-        super().__init__(steps + steps // horizon + 2, obs_dim, act_dim)
+        super().__init__(steps + steps // horizon + 2, spaces.obs, spaces.act)
+        self.frames = None if spaces.frames is None else Frames(spaces.frames)
         self._row_of = torch.empty(steps, dtype=torch.int64)
         self.transitions = 0
         self.episodes: list[Episode] = []
@@ -60,6 +63,10 @@ class Experience(Columns):
         self.reward[row] = reward
         self.kind[row] = _TERMINATED if step.terminated else _TRUNCATED if step.truncated else _STEP
         obs[row + 1] = step.next_obs
+        if self.frames is not None and step.frame is not None and step.next_frame is not None:
+            if len(self.frames) == row:  # an episode begins
+                self.frames.append(step.frame)
+            self.frames.append(step.next_frame)
         if self.transitions == len(self._row_of):
             self._row_of = torch.cat((self._row_of, torch.empty_like(self._row_of)))
         self._row_of[self.transitions] = row
@@ -90,7 +97,23 @@ class Experience(Columns):
             reward=self.reward[rows],
             next_obs=self.obs[rows + 1],
             continues=on.float(),
+            frames=self._stacks(rows),
+            next_frames=self._stacks(rows + 1),
         )
+
+    def _stacks(self, rows: Tensor) -> Tensor | None:
+        """The newest frames at rows [B], oldest first; the first of an episode stands for those before it."""
+        if self.frames is None:
+            return None
+        backwards = [rows]
+        for _ in range(self.frames.stack - 1):
+            before = (backwards[-1] - 1).clamp(min=0)
+            backwards.append(torch.where(self.kind[before] == _END, backwards[-1], before))
+        return self.frames[torch.stack(backwards[::-1], dim=1)]
+
+    def save(self, folder: Path) -> State:
+        state = super().save(folder)
+        return state if self.frames is None else state | {"frames": self.frames.save(folder)}
 
     def since(self, transition: int) -> Tensor:
         """Rows of the transitions from number `transition` on."""
@@ -118,6 +141,8 @@ class Experience(Columns):
 
     def load(self, folder: Path, state: State) -> None:
         super().load(folder, state)
+        if self.frames is not None:
+            self.frames.load(folder, state["frames"])
         self._find_episodes()
 
     def _find_episodes(self) -> None:

@@ -6,9 +6,9 @@ is loaded already, importing this package does so.
 
 import sys
 
-from rrm.envs.tasks import TASKS, Task, make, task
+from rrm.envs.tasks import TASKS, FrameSpace, Spaces, Task, make, task
 
-__all__ = ["TASKS", "Task", "make", "register", "task"]
+__all__ = ["TASKS", "FrameSpace", "Spaces", "Task", "make", "register", "task"]
 
 
 def register() -> None:

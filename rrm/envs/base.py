@@ -15,7 +15,7 @@ from gymnasium.error import ResetNeeded
 from gymnasium.spaces import Box
 
 from rrm.errors import ConfigError, NumericalError
-from rrm.types import Floats, State
+from rrm.types import Floats, Pixels, State
 
 Doubles = npt.NDArray[np.float64]
 
@@ -93,6 +93,10 @@ class TaskEnv(gymnasium.Env[Floats, Floats]):
         obs, reward, info = self._advance(self._checked(action))
         self._steps += 1
         return np.array(obs, dtype=np.float32), float(reward), False, self._steps >= self.horizon, info
+
+    def frame(self) -> Pixels:
+        """Raises: TypeError: an environment with a camera overrides this."""
+        raise TypeError(f"{type(self).__name__} has no camera")
 
     def state_dict(self) -> State:
         return {

@@ -27,6 +27,25 @@ ScoreKind = Literal["success", "return"]
 Feature = slice | Callable[["Floats"], Any]
 
 
+@dataclass(frozen=True)
+class FrameSpace:
+    """A camera's pictures, uint8 [height, width, channels], and how many of the newest an agent sees at once."""
+
+    height: int
+    width: int
+    channels: int = 3
+    stack: int = 3
+
+
+@dataclass(frozen=True)
+class Spaces:
+    """What an agent is told of a task before it is made."""
+
+    obs: int  #: length of the observation vector
+    act: int  #: length of the action vector; every action lies in [-1, 1]
+    frames: FrameSpace | None = None  #: None where the task has no camera
+
+
 @dataclass(frozen=True, kw_only=True)
 class Task:
     """What planning, priors and reports need to know of a task without starting its simulator."""
@@ -35,8 +54,7 @@ class Task:
     suite: str  #: "metaworld", "dmc" or "toy"
     score: ScoreKind  #: what the paper reports for it: success rate, or true return
     horizon: int  #: steps of an episode
-    obs_dim: int  #: length of the observation vector
-    act_dim: int  #: length of the action vector; every action lies in [-1, 1]
+    spaces: Spaces
     entry_point: str  #: dotted path of the environment's class
     kwargs: Mapping[str, str] = field(default_factory=dict)  #: arguments of that class
     packages: tuple[str, ...] = ("gymnasium",)  #: distributions that its simulator is made of
@@ -70,16 +88,16 @@ _HAND_OBJECT_GOAL = {"hand": slice(0, 3), "object": slice(4, 7), "goal": slice(3
 
 def _metaworld(name: str) -> Task:
     return Task(
-        name=name, suite="metaworld", score="success", horizon=500, obs_dim=39, act_dim=4,
+        name=name, suite="metaworld", score="success", horizon=500, spaces=Spaces(39, 4),
         entry_point="rrm.envs.metaworld:MetaWorldEnv", kwargs={"task": f"{name}-v3"}, features=_HAND_OBJECT_GOAL,
         packages=("metaworld", "mujoco", "gymnasium"),
     )  # fmt: skip
 
 
-def _dmc(name: str, obs_dim: int, act_dim: int, upright: int, outcomes: tuple[str, ...]) -> Task:
+def _dmc(name: str, spaces: Spaces, upright: int, outcomes: tuple[str, ...]) -> Task:
     domain, _, task_name = name.partition("-")
     return Task(
-        name=name, suite="dmc", score="return", horizon=1000, obs_dim=obs_dim, act_dim=act_dim,
+        name=name, suite="dmc", score="return", horizon=1000, spaces=spaces,
         entry_point="rrm.envs.dmc:DmcEnv", kwargs={"domain": domain, "task": task_name},
         features={"upright": slice(upright, upright + 1)}, outcomes=outcomes,
         packages=("dm-control", "mujoco", "gymnasium"),
@@ -87,7 +105,7 @@ def _dmc(name: str, obs_dim: int, act_dim: int, upright: int, outcomes: tuple[st
 
 
 _TOY_CAR = Task(
-    name="toy-car", suite="toy", score="success", horizon=100, obs_dim=15, act_dim=2,
+    name="toy-car", suite="toy", score="success", horizon=100, spaces=Spaces(15, 2),
     entry_point="rrm.envs.toy_car:ToyCarEnv",
     # The car is what moves and what is to be moved: "hand" and "object" are its position.
     features={"hand": slice(0, 2), "object": slice(0, 2), "goal": slice(2, 4), "clearance": slice(4, 5)},
@@ -98,8 +116,8 @@ TASKS: dict[str, Task] = {
     t.name: t
     for t in (
         *map(_metaworld, ("button-press", "door-open", "door-unlock", "sweep-into", "window-open")),
-        _dmc("walker-walk", 24, 6, upright=0, outcomes=("torso_upright", "torso_height", "forward_velocity")),
-        _dmc("quadruped-walk", 78, 12, upright=47, outcomes=("torso_upright", "forward_velocity")),
+        _dmc("walker-walk", Spaces(24, 6), upright=0, outcomes=("torso_upright", "torso_height", "forward_velocity")),
+        _dmc("quadruped-walk", Spaces(78, 12), upright=47, outcomes=("torso_upright", "forward_velocity")),
         _TOY_CAR,
     )
 }

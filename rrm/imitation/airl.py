@@ -74,7 +74,7 @@ class Airl:
         """
         for _ in range(self.config.updates):
             rows = torch.randint(len(self._expert.obs), (self.config.minibatch,), generator=self._generator)
-            expert = Batch(*(column[rows] for column in self._expert))
+            expert = Batch(*(column[rows] for column in self._expert if column is not None))
             policy = draw(self.config.minibatch, self._generator)
             log_prob = agent.log_prob(torch.cat((expert.obs, policy.obs)), torch.cat((expert.act, policy.act)))
             norm = self.discriminator.step(expert, policy, log_prob)

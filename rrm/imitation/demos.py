@@ -114,10 +114,10 @@ class Demonstrations:
         if told != task.name:
             raise DemosError(f"{where} shows {told}, not {task.name}")
         shapes = (self.obs.shape[1], self.act.shape[1])
-        if shapes != (task.obs_dim, task.act_dim):
+        if shapes != (task.spaces.obs, task.spaces.act):
             raise DemosError(
                 f"{where}: observations of {shapes[0]} and actions of {shapes[1]} numbers; "
-                f"{task.name} has {task.obs_dim} and {task.act_dim}"
+                f"{task.name} has {task.spaces.obs} and {task.spaces.act}"
             )
 
 

@@ -70,7 +70,8 @@ class Discriminator:
         Raises:
             NumericalError: the loss is not finite.
         """
-        both = Batch(*(torch.cat(pair) for pair in zip(expert, policy, strict=True)))
+        pairs = [(e, p) for e, p in zip(expert, policy, strict=True) if e is not None and p is not None]
+        both = Batch(*(torch.cat(pair) for pair in pairs))
         is_expert = torch.zeros(len(both.obs)).index_fill_(0, torch.arange(len(expert.obs)), 1.0)
         loss = self._step_airl(both, is_expert, log_prob) if self.config.pretrain == "airl" else (
             self._step_mse(both, is_expert)

@@ -66,7 +66,7 @@ def assemble(config: RunConfig, streams: Streams, results: Results) -> Parts:
     """
     spec = config.spec()
     agent = build_agent(config, streams)
-    experience = Experience(config.steps, config.episode_steps, spec.obs_dim, spec.act_dim)
+    experience = Experience(config.steps, config.episode_steps, spec.spaces)
     prior = build_prior(config, streams, results)
     replay = Replay(experience, config.agent.batch, streams.torch("replay"))
     phases = _Phases(config, streams, results, experience, replay).all()
@@ -79,9 +79,8 @@ def build_agent(config: RunConfig, streams: Streams) -> Agent:
     Raises:
         ConfigError: this processor has no products of the precision asked for.
     """
-    spec = config.spec()
     agent: Agent = lookup(AGENTS, "agent", config.agent.kind)(
-        config.agent, spec.obs_dim, spec.act_dim, streams, precision=config.precision
+        config.agent, config.spec().spaces, streams, precision=config.precision
     )
     return agent
 
@@ -175,8 +174,8 @@ def build_reward(config: RunConfig, streams: Streams) -> RewardFunction:
     """
     kind, spec = ResidualReward if config.reward.prior is not None else EnsembleReward, config.spec()
     if config.from_demonstrations:
-        return ImitatedReward(RewardNet(config.imitation, spec.obs_dim, spec.act_dim, None))
-    return kind(config.reward, spec.obs_dim, spec.act_dim, streams.torch("reward-init"), config.precision)
+        return ImitatedReward(RewardNet(config.imitation, spec.spaces.obs, spec.spaces.act, None))
+    return kind(config.reward, spec.spaces.obs, spec.spaces.act, streams.torch("reward-init"), config.precision)
 
 
 def build_prior(config: RunConfig, streams: Streams, results: Results) -> PriorSource | None:

@@ -17,7 +17,7 @@ from rrm.interfaces import Env
 from rrm.seeding import Streams
 from rrm.training.build import build_agent
 from rrm.training.run_config import RunConfig
-from rrm.types import Floats
+from rrm.types import Floats, Obs
 
 Policy = Callable[[Floats], Floats]
 
@@ -37,7 +37,7 @@ def expert_policy(config: RunConfig, model: Path) -> Policy:
     if "agent" not in networks:
         raise MissingResultError(f"{model} does not hold the expert's networks: {again(model)}")
     agent.load_state_dict(networks["agent"])
-    return lambda obs: agent.act(obs, explore=False)
+    return lambda obs: agent.act(Obs(obs), explore=False)
 
 
 def demonstrate(

@@ -5,20 +5,21 @@ from __future__ import annotations
 import numpy as np
 
 from rrm.config import EvaluationConfig
-from rrm.interfaces import Agent, Env
+from rrm.envs.observer import Observer
+from rrm.interfaces import Agent
 from rrm.seeding import evaluation_seed
 from rrm.types import Evaluation
 
 
-def evaluate(agent: Agent, env: Env, config: EvaluationConfig, *, seed: int, step: int) -> Evaluation:
+def evaluate(agent: Agent, env: Observer, config: EvaluationConfig, *, seed: int, step: int) -> Evaluation:
     """Play `config.episodes` episodes; the instances depend on the run's seed, the step and the episode alone."""
     episodes = [_episode(agent, env, evaluation_seed(seed, step, number)) for number in range(config.episodes)]
     counted = [_success(flags, config.success) for _, flags in episodes]
     return Evaluation(float(np.mean([r for r, _ in episodes])), float(np.mean(counted)))
 
 
-def _episode(agent: Agent, env: Env, seed: int) -> tuple[float, list[float]]:
-    obs, _ = env.reset(seed=seed)
+def _episode(agent: Agent, env: Observer, seed: int) -> tuple[float, list[float]]:
+    obs = env.reset(seed=seed)
     total, flags, over = 0.0, [], False
     while not over:
         obs, reward, terminated, truncated, info = env.step(agent.act(obs, explore=False))

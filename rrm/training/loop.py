@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from rrm.envs import make
+from rrm.envs.observer import Observer
 from rrm.errors import NumericalError, WaitingError
 from rrm.nets.precision import check_precision
 from rrm.seeding import Streams, evaluation_seed
@@ -23,7 +23,7 @@ from rrm.training.build import Assembled, Results, assemble
 from rrm.training.evaluate import evaluate
 from rrm.training.phases import Phase, phase_at
 from rrm.training.run_config import RunConfig
-from rrm.types import EvalRow, Floats, State, Transition
+from rrm.types import EvalRow, Floats, Obs, State, Transition
 
 _NAN = float("nan")
 
@@ -68,8 +68,8 @@ class Trainer:
         self.step = 0
         self.rows: list[EvalRow] = []  #: evaluations so far, oldest first
         self.streams = Streams(config.seed)
-        self.env = make(config.task, horizon=config.horizon)
-        self._eval_env = make(config.task, horizon=config.horizon)
+        self.env = Observer(config.task, config.horizon)
+        self._eval_env = Observer(config.task, config.horizon)
         parts = assembled(config, self.streams, results)
         self.agent = parts.agent
         self.experience = parts.experience
@@ -105,12 +105,13 @@ class Trainer:
         self.experience.append(step, reward)
         self._return += step.true_reward
         self._length += 1
-        self._obs = self._finish_episode() if step.terminated or step.truncated else step.next_obs
+        if step.terminated or step.truncated:
+            self._obs = self._finish_episode()
         self.step += 1
 
     def _act(self, phase: Phase) -> Floats:
         if phase.random:
-            return self._explore.uniform(-1.0, 1.0, self.config.spec().act_dim).astype(np.float32)
+            return self._explore.uniform(-1.0, 1.0, self.config.spec().spaces.act).astype(np.float32)
         return self.agent.act(self._obs, explore=True)
 
     def _update(self, phase: Phase) -> None:
@@ -127,19 +128,22 @@ class Trainer:
         next_obs, true_reward, terminated, truncated, info = self.env.step(act)
         if not np.isfinite(true_reward):
             raise NumericalError(f"step {self.step}: the true reward is {true_reward}")
-        raw, prior = (0.0, 0.0) if self.prior is None else self.prior(self._obs, act, info, self.step)
-        return Transition(self._obs, act, next_obs, prior, raw, true_reward, terminated, truncated)
+        obs, self._obs = self._obs, next_obs
+        raw, prior = (0.0, 0.0) if self.prior is None else self.prior(obs.state, act, info, self.step)
+        return Transition(
+            obs.state, act, next_obs.state, prior, raw, true_reward, terminated, truncated, obs.newest, next_obs.newest
+        )
 
-    def _finish_episode(self) -> Floats:
+    def _finish_episode(self) -> Obs:
         for source in self.sources.values():
             source.episode_over(self._return, self._length)
         self._return, self._length = 0.0, 0
         return self._reset()
 
-    def _reset(self, seed: int | None = None) -> Floats:
-        obs, _ = self.env.reset(seed=seed)
+    def _reset(self, seed: int | None = None) -> Obs:
+        obs = self.env.reset(seed=seed)
         if self.prior is not None:
-            self.prior.begin_episode(obs)
+            self.prior.begin_episode(obs.state)
         return obs
 
     def evaluate(self) -> EvalRow:
@@ -191,7 +195,7 @@ class Trainer:
             "clock": self.clock.state_dict(),
             "rows": [asdict(row) for row in self.rows],
             "loop": {
-                "step": self.step, "obs": self._obs, "row_transition": self._row_transition,
+                "step": self.step, "obs": self._obs.state, "row_transition": self._row_transition,
                 "return": self._return, "length": self._length,
             },
             "streams": self.streams.state_dict(),
@@ -213,7 +217,8 @@ class Trainer:
         self.clock.load_state_dict(state["clock"])
         self.rows = [EvalRow(**row) for row in state["rows"]]
         loop = state["loop"]
-        self.step, self._obs, self._row_transition = int(loop["step"]), loop["obs"], int(loop["row_transition"])
+        self.step, self._row_transition = int(loop["step"]), int(loop["row_transition"])
+        self._obs = self.env.seen(loop["obs"])
         self._return, self._length = float(loop["return"]), int(loop["length"])
         self.streams.load_state_dict(state["streams"])
 

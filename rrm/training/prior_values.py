@@ -31,7 +31,7 @@ class PriorSource:
         self._normaliser = normaliser
         self._task = task
         self._rng = rng
-        self._first: Floats = np.zeros(task.obs_dim, np.float32)
+        self._first: Floats = np.zeros(task.spaces.obs, np.float32)
 
     def begin_episode(self, obs: Floats) -> None:
         """Remember where the episode began, for priors that refer to it."""

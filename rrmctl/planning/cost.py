@@ -140,12 +140,12 @@ def model_seconds(config: Config, gemm: float) -> float:
     if config.kind == "demos":
         return _START_S + config.steps * step
     agent = config.agent
-    actor = _weights(spec.obs_dim, agent.hidden, agent.layers, 2 * spec.act_dim)
-    critic = _weights(spec.obs_dim + spec.act_dim, agent.hidden, agent.layers, 1)
+    actor = _weights(spec.spaces.obs, agent.hidden, agent.layers, 2 * spec.spaces.act)
+    critic = _weights(spec.spaces.obs + spec.spaces.act, agent.hidden, agent.layers, 1)
     update = _CALL_S + _SLACK * 2 * agent.batch * (4 * actor + 12 * critic) / gemm
     updates = max(config.steps - config.random_steps, 0) / agent.update_every
     states = config.random_steps + config.exploration.unsupervised_steps / 2
-    entropy = config.exploration.unsupervised_steps * 2 * agent.batch * spec.obs_dim * states / gemm
+    entropy = config.exploration.unsupervised_steps * 2 * agent.batch * spec.spaces.obs * states / gemm
     evaluated = math.ceil(config.steps / config.evaluation.every) * config.evaluation.episodes * config.episode_steps
     learning = updates * update + entropy + _reward_seconds(config, gemm) + _imitation_seconds(config, gemm)
     return _START_S + (config.steps + evaluated) * step + learning
@@ -157,7 +157,7 @@ def _reward_seconds(config: RunConfig, gemm: float) -> float:
     if sessions == 0 or feedback is None:
         return 0.0
     spec = config.spec()
-    inputs = spec.obs_dim + spec.act_dim + (reward.prior is not None)
+    inputs = spec.spaces.obs + spec.spaces.act + (reward.prior is not None)
     weights = _weights(inputs, reward.hidden, reward.layers, 1) * reward.members
     rows = (feedback.segment + 2 * reward.settings.needs().margin) * reward.minibatch * reward.settings.pairs_per_label
     fit = _CALL_S + _SLACK * 12 * weights * rows / gemm
@@ -174,8 +174,8 @@ def _imitation_seconds(config: RunConfig, gemm: float) -> float:
     spec, imitation, agent = config.spec(), config.imitation, config.agent
     steps = (config.first_session if config.reward.kind.learned else config.steps) - config.random_steps
     shape = (imitation.hidden, imitation.layers, 1)
-    g, h = _weights(spec.obs_dim + spec.act_dim, *shape), 2 * _weights(spec.obs_dim, *shape)
-    actor = _weights(spec.obs_dim, agent.hidden, agent.layers, 2 * spec.act_dim)
+    g, h = _weights(spec.spaces.obs + spec.spaces.act, *shape), 2 * _weights(spec.spaces.obs, *shape)
+    actor = _weights(spec.spaces.obs, agent.hidden, agent.layers, 2 * spec.spaces.act)
     gradient = _CALL_S + _SLACK * 2 * (2 * imitation.minibatch) * (3 * g + 3 * h + actor) / gemm
     reward = _CALL_S + _SLACK * 2 * agent.batch * (g + h) / gemm
     return steps * (imitation.updates / imitation.every * gradient + reward / agent.update_every)

@@ -6,7 +6,7 @@ import pytest
 from pydantic import ValidationError
 
 from rrm import precision
-from tests.rrm.training.test_config import run
+from tests.rrm.training.test_run_config import run
 
 
 @pytest.mark.parametrize(("flags", "best"), [("fpu amx_bf16", "bfloat16"), ("fpu avx512_bf16", "float32")])

@@ -7,7 +7,7 @@ import pytest
 
 from rrm.agents import AGENTS
 from rrm.config import AgentConfig, EvaluationConfig, ExplorationConfig, RewardConfig
-from rrm.envs import TASKS, Task
+from rrm.envs import TASKS, FrameSpace, Spaces, Task
 from rrm.envs.base import TaskEnv
 from rrm.sources.base import RewardSource
 from rrm.training.build import assemble
@@ -41,8 +41,8 @@ def trained(given, folder, stops=(None,), **options):
 class Uniform:
     """An agent that learns nothing: its actions are uniformly random, when it explores and when it does not."""
 
-    def __init__(self, config, obs_dim, act_dim, streams, *, precision):
-        self.updates, self._act_dim = 0, act_dim
+    def __init__(self, config, spaces, streams, *, precision):
+        self.updates, self._act_dim = 0, spaces.act
         self._explore, self._evaluate = streams.numpy("uniform"), np.random.default_rng(0)
 
     def act(self, obs, *, explore):
@@ -140,7 +140,7 @@ class Slope(TaskEnv):
 
 
 SLOPE = Task(
-    name="slope", suite="mine", score="success", horizon=40, obs_dim=2, act_dim=1, entry_point=f"{__name__}:Slope",
+    name="slope", suite="mine", score="success", horizon=40, spaces=Spaces(2, 1), entry_point=f"{__name__}:Slope",
     kwargs={"steepness": "0.1"},
     features={"position": slice(0, 1), "energy": lambda obs: np.square(obs).sum(keepdims=True)},
 )  # fmt: skip
@@ -156,3 +156,55 @@ def test_a_simulator_of_ones_own(tmp_path, monkeypatch):
     assert fingerprint(given)["gymnasium"]
     with pytest.raises(ValueError, match="reads hand, object, goal or upright, which slope does not reveal"):
         config("slope", reward=RewardConfig(learner="prior", prior="proxy"))
+
+
+class Filmed(Slope):
+    """The same with a camera: a line of pixels, one of which is the ball, and a clock of the episode."""
+
+    def frame(self):
+        picture = np.zeros((1, 8, 2), np.uint8)
+        picture[0, int(np.clip(4 + 4 * self.state[0], 0, 7)), 0] = 255
+        picture[..., 1] = self._steps or 0
+        return picture
+
+
+class Looking(Uniform):
+    """An agent that sees nothing but frames: it acts on the newest, and remembers what its batches showed."""
+
+    def __init__(self, config, spaces, streams, *, precision):
+        super().__init__(config, spaces, streams, precision=precision)
+        self._shape, self.seen = (spaces.frames.stack, spaces.frames.height, spaces.frames.width, 2), 0
+
+    def act(self, obs, *, explore):
+        assert obs.frames.shape == self._shape
+        return np.array([4 - obs.frames[-1, 0, :, 0].argmax()], np.float32) / 4
+
+    def update(self, batch):
+        super().update(batch)
+        before, after = (frames[..., 0, 0, 1].long() for frames in (batch.frames, batch.next_frames))
+        newest = before[:, -1]
+        assert (after[:, -1] == newest + 1).all()
+        for back in range(self._shape[0]):  # an episode's first frame stands for those before it
+            assert (before[:, -1 - back] == (newest - back).clamp(min=0)).all()
+            assert (after[:, -1 - back] == (newest + 1 - back).clamp(min=0)).all()
+        self.seen += int(batch.frames.sum())
+
+    def figures(self):
+        return {"seen": float(self.seen)}
+
+    def state_dict(self):
+        return super().state_dict() | {"seen": self.seen}
+
+    def load_state_dict(self, state):
+        super().load_state_dict(state)
+        self.seen = state["seen"]
+
+
+def test_a_camera_of_ones_own(tmp_path, monkeypatch):
+    """A task with frames: an agent acts on the newest and learns from those of any step, also after an interruption."""
+    spaces = Spaces(2, 1, FrameSpace(height=1, width=8, channels=2, stack=3))
+    monkeypatch.setitem(TASKS, "slope", replace(SLOPE, spaces=spaces, entry_point=f"{__name__}:Filmed"))
+    monkeypatch.setitem(AGENTS, "sac", f"{__name__}:Looking")
+    straight = trained(config("slope"), tmp_path / "a")
+    assert straight == trained(config("slope"), tmp_path / "b", (70, 160, None))
+    assert "'seen': " in straight[-1]

@@ -69,8 +69,8 @@ def make_prompt(task: Task, *, skeleton: bool) -> str:
 def _skeleton(task: Task) -> str:
     features = [_described(name) for name in TASK_FEATURES if name in task.features]
     vectors = [
-        f"    step.obs: the observation, {task.obs_dim} numbers.",
-        f"    step.act: the action, {task.act_dim} numbers.",
+        f"    step.obs: the observation, {task.spaces.obs} numbers.",
+        f"    step.act: the action, {task.spaces.act} numbers.",
     ]
     outcomes = [_described(name) for name in OUTCOMES if name in task.outcomes]
     after = "\n".join(["", "    After the step, numbers:", *outcomes, ""]) if outcomes else ""

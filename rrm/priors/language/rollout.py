@@ -38,9 +38,9 @@ def walk(task: Task) -> Walk:
     """Full episodes of uniform actions, fresh ones at every step and held ones in turn; always the same for a task."""
     rng = Streams(0).numpy("language")
     env = make(task.name)
-    obs = np.empty((EPISODES, task.horizon, task.obs_dim), np.float32)
+    obs = np.empty((EPISODES, task.horizon, task.spaces.obs), np.float32)
     outcomes = np.empty((EPISODES, task.horizon, len(task.outcomes)))
-    drawn = rng.uniform(-1.0, 1.0, (EPISODES, task.horizon, task.act_dim)).astype(np.float32)
+    drawn = rng.uniform(-1.0, 1.0, (EPISODES, task.horizon, task.spaces.act)).astype(np.float32)
     drawn[1::2] = drawn[1::2, np.arange(task.horizon) // _HELD]
     try:
         for episode in range(EPISODES):

@@ -14,10 +14,11 @@ from torch import Tensor, nn
 
 from rrm.agents.sac import Sac
 from rrm.config import AgentConfig
+from rrm.envs import Spaces
 from rrm.errors import CheckpointError, NumericalError
 from rrm.nets.mlp import StackedMLP
 from rrm.seeding import Streams
-from rrm.types import Batch, State
+from rrm.types import Batch, Obs, State
 from tests.rrm.agents.reference_sac import ReferenceSac, unstack
 
 SMALL = AgentConfig(hidden=24, layers=2, batch=16, actor_lr=1e-3, critic_lr=1e-3, alpha_lr=1e-2)
@@ -64,7 +65,7 @@ def test_equals_textbook(obs: int, act: int, hidden: int, layers: int, rows: int
     """Losses, gradients, parameters and target follow plain autograd over several updates, whatever the sizes."""
     config = AgentConfig(hidden=hidden, layers=layers, batch=rows, target_every=target_every, tau=0.1)
     streams = Streams(seed)
-    sac = Sac(config, obs, act, streams)
+    sac = Sac(config, Spaces(obs, act), streams)
     plain = ReferenceSac(config, sac.actor, sac.critic)
     draws = torch.Generator()
     draws.set_state(streams.torch("agent").get_state())
@@ -87,12 +88,12 @@ def test_equals_textbook(obs: int, act: int, hidden: int, layers: int, rows: int
 def test_actions() -> None:
     """Deterministic actions are tanh of the mean; samples vary, stay in [-1, 1] and use the explore stream alone."""
     streams = Streams(3)
-    sac = Sac(SMALL, 5, 2, streams)
+    sac = Sac(SMALL, Spaces(5, 2), streams)
     before = streams.torch("agent").get_state()
     obs = np.linspace(-1, 1, 5, dtype=np.float32)
     mean = unstack(sac.actor)[0](torch.from_numpy(obs))[:2].tanh().detach().numpy()
-    np.testing.assert_allclose(sac.act(obs, explore=False), mean, rtol=1e-5, atol=1e-6)
-    samples = np.stack([sac.act(obs, explore=True) for _ in range(50)])
+    np.testing.assert_allclose(sac.act(Obs(obs), explore=False), mean, rtol=1e-5, atol=1e-6)
+    samples = np.stack([sac.act(Obs(obs), explore=True) for _ in range(50)])
     assert samples.dtype == np.float32
     assert np.abs(samples).max() <= 1
     assert samples.std(axis=0).min() > 0.1
@@ -101,7 +102,7 @@ def test_actions() -> None:
 
 def test_actions_do_not_share_memory() -> None:
     """An action stays what it was when the next one is taken."""
-    sac = Sac(SMALL, 5, 2, Streams(3))
+    sac = Sac(SMALL, Spaces(5, 2), Streams(3))
     first = sac.act(np.ones(5, np.float32), explore=False)
     kept = first.copy()
     sac.act(-np.ones(5, np.float32), explore=False)
@@ -110,7 +111,7 @@ def test_actions_do_not_share_memory() -> None:
 
 def test_saturated_policy_stays_finite() -> None:
     """Where tanh rounds to one, losses and parameters stay finite."""
-    sac = Sac(SMALL, 5, 2, Streams(0))
+    sac = Sac(SMALL, Spaces(5, 2), Streams(0))
     sac.actor.flat[-16:] = 40.0
     for seed in range(3):
         sac.update(make_batch(16, 5, 2, seed))
@@ -120,14 +121,14 @@ def test_saturated_policy_stays_finite() -> None:
 
 def test_metrics_before_the_first_update() -> None:
     """Before the first update every figure is NaN."""
-    figures = Sac(SMALL, 5, 2, Streams(0)).figures()
+    figures = Sac(SMALL, Spaces(5, 2), Streams(0)).figures()
     assert list(figures) == ["critic_loss", "actor_loss", "entropy", "alpha"]
     assert all(math.isnan(figure) for figure in figures.values())
 
 
 def test_reset_critic() -> None:
     """A reset draws another critic, copies it to the target and forgets its optimiser; actor and temperature stay."""
-    sac = Sac(SMALL, 5, 2, Streams(1))
+    sac = Sac(SMALL, Spaces(5, 2), Streams(1))
     for seed in range(3):
         sac.update(make_batch(16, 5, 2, seed))
     before = sac.state_dict()
@@ -165,7 +166,7 @@ def assert_same(a: State, b: State) -> None:
 def test_resumes_bit_for_bit(tmp_path: Path) -> None:
     """Saved after some updates and loaded into a fresh agent, here and in another process, it continues identically."""
     streams = Streams(7)
-    sac = Sac(SMALL, 5, 2, streams)
+    sac = Sac(SMALL, Spaces(5, 2), streams)
     train(sac, range(5))
     torch.save({"sac": sac.state_dict(), "streams": streams.state_dict()["torch"]}, tmp_path / "saved.pt")
     train(sac, range(5, 9))
@@ -184,7 +185,7 @@ def resume_from(folder: str, output: str = "there.pt") -> None:
     """Load, continue as the test above does, and leave the final state behind."""
     saved = torch.load(Path(folder) / "saved.pt")
     streams = Streams(7)
-    sac = Sac(SMALL, 5, 2, streams)
+    sac = Sac(SMALL, Spaces(5, 2), streams)
     sac.load_state_dict(saved["sac"])
     streams.load_state_dict({"numpy": {}, "torch": saved["streams"]})
     train(sac, range(5, 9))
@@ -195,7 +196,7 @@ def resume_from(folder: str, output: str = "there.pt") -> None:
 
 def test_does_not_depend_on_alignment() -> None:
     """A batch that starts at an odd address gives the same update, to the last bit."""
-    aligned, shifted = (Sac(SMALL, 5, 2, Streams(2)) for _ in range(2))
+    aligned, shifted = (Sac(SMALL, Spaces(5, 2), Streams(2)) for _ in range(2))
     batch = make_batch(16, 5, 2, 0)
     moved = (torch.cat((torch.zeros(3), column.flatten()))[3:].view_as(column) for column in batch)
     aligned.update(batch)
@@ -205,7 +206,7 @@ def test_does_not_depend_on_alignment() -> None:
 
 def test_other_batch_sizes() -> None:
     """A batch of another size than the configured one is as good."""
-    sac = Sac(SMALL, 5, 2, Streams(2))
+    sac = Sac(SMALL, Spaces(5, 2), Streams(2))
     for rows in (7, 16, 1):
         sac.update(make_batch(rows, 5, 2, rows))
     assert all(math.isfinite(figure) for figure in sac.figures().values())
@@ -213,7 +214,7 @@ def test_other_batch_sizes() -> None:
 
 def test_q_values() -> None:
     """Q values are those of the two critics, by their own parameters or by those given."""
-    sac = Sac(SMALL, 5, 2, Streams(2))
+    sac = Sac(SMALL, Spaces(5, 2), Streams(2))
     batch = make_batch(4, 5, 2, 0)
     joined = torch.cat((batch.obs, batch.act), dim=-1)
     expected = torch.stack([critic(joined).squeeze(-1) for critic in unstack(sac.critic)])
@@ -225,7 +226,7 @@ def test_q_values() -> None:
 
 def test_state_is_a_copy() -> None:
     """A saved state does not change when training goes on."""
-    sac = Sac(SMALL, 5, 2, Streams(0))
+    sac = Sac(SMALL, Spaces(5, 2), Streams(0))
     state = sac.state_dict()
     kept = state["tensors"]["critic"].clone()
     train(sac, range(2))
@@ -234,14 +235,14 @@ def test_state_is_a_copy() -> None:
 
 def test_refuses_a_state_of_other_sizes() -> None:
     """A state of an agent with other sizes is refused by name."""
-    state = Sac(SMALL, 5, 2, Streams(0)).state_dict()
+    state = Sac(SMALL, Spaces(5, 2), Streams(0)).state_dict()
     with pytest.raises(CheckpointError, match="saved agent's actor has shape"):
-        Sac(SMALL, 6, 2, Streams(0)).load_state_dict(state)
+        Sac(SMALL, Spaces(6, 2), Streams(0)).load_state_dict(state)
 
 
 def test_refuses_an_infinite_action() -> None:
     """An observation that is not finite is reported where it becomes an action."""
-    sac = Sac(SMALL, 5, 2, Streams(0))
+    sac = Sac(SMALL, Spaces(5, 2), Streams(0))
     with pytest.raises(NumericalError, match="not finite"):
         sac.act(np.array([0, 0, np.nan, 0, 0], np.float32), explore=False)
 
@@ -250,7 +251,7 @@ def test_refuses_an_infinite_action() -> None:
 def test_solves_a_bandit() -> None:
     """Rewarded for closeness to a hidden action, the policy finds it and lowers its temperature."""
     streams = Streams(0)
-    sac = Sac(SMALL.model_copy(update={"discount": 0.0, "batch": 64}), 3, 1, streams)
+    sac = Sac(SMALL.model_copy(update={"discount": 0.0, "batch": 64}), Spaces(3, 1), streams)
     g = torch.Generator().manual_seed(0)
     for _ in range(1500):
         obs = torch.rand(64, 3, generator=g) * 2 - 1
@@ -263,7 +264,7 @@ def test_solves_a_bandit() -> None:
 
 def test_the_density_of_any_action() -> None:
     """Log density of given actions, by the change of variables in double precision; samples' own to rounding."""
-    agent = Sac(SMALL, 3, 2, Streams(0))
+    agent = Sac(SMALL, Spaces(3, 2), Streams(0))
     batch = make_batch(64, 3, 2, 1)
     head = agent.actor(batch.obs)[0].detach().double()
     mean, log_std = head[:2], -5 + 3.5 * (torch.tanh(head[2:]) + 1)
@@ -276,7 +277,7 @@ def test_the_density_of_any_action() -> None:
 @pytest.mark.parametrize("bound", [1.0, -1.0])
 def test_the_density_of_a_saturated_action_is_finite(bound: float) -> None:
     """Experts, and a float32 tanh, act at the very bound, where atanh is infinite."""
-    agent = Sac(SMALL, 3, 2, Streams(0))
+    agent = Sac(SMALL, Spaces(3, 2), Streams(0))
     obs = make_batch(8, 3, 2, 1).obs
     density = agent.log_prob(obs, torch.full((8, 2), bound))
     assert torch.isfinite(density).all()

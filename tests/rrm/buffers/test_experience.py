@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 
 from rrm.buffers.experience import Episode, Experience
 from rrm.buffers.replay import Replay
+from rrm.envs import Spaces
 from rrm.errors import CheckpointError
 from rrm.sources.entropy import neighbour_distance
 from rrm.types import Transition
@@ -15,7 +16,7 @@ from rrm.types import Transition
 
 def lived(lengths, *, terminated=False, unfinished=0):
     """Episodes of the given lengths; the observation of step t of episode e is (e, t), its true reward 100 e + t."""
-    experience = Experience(3, 100, 2, 1)  # room is made as it is needed
+    experience = Experience(3, 100, Spaces(2, 1))  # room is made as it is needed
     for e, length in enumerate([*lengths, unfinished]):
         for t in range(length):
             last = t == length - 1 and e < len(lengths)
@@ -101,7 +102,7 @@ def test_small_neighbour_distances_keep_their_digits():
     """States a hair apart and far from the origin, where a matrix product would only see rounding."""
     generator = torch.Generator().manual_seed(0)
     states = 100 + 1e-3 * torch.randn(300, 2, generator=generator)
-    experience = Experience(300, 300, 2, 1)
+    experience = Experience(300, 300, Spaces(2, 1))
     for t, (obs, following) in enumerate(zip(states, states.roll(-1, 0), strict=True)):
         act = np.zeros(1, np.float32)
         experience.append(Transition(obs.numpy(), act, following.numpy(), 0.0, 0.0, 0.0, False, t == 299), 0.0)
@@ -114,7 +115,7 @@ def test_saved_in_pieces_it_comes_back_whole(tmp_path_factory, episode_lengths, 
     """However often it was saved, and whatever was relabelled between, the restored experience is the same."""
     folder = tmp_path_factory.mktemp("experience")
     whole = lived(episode_lengths, unfinished=unfinished)
-    growing = Experience(1, 1, 2, 1)
+    growing = Experience(1, 1, Spaces(2, 1))
     state = growing.save(folder)
     for i, row in enumerate(whole.since(0).tolist()):
         end = int(whole.kind[row])
@@ -129,7 +130,7 @@ def test_saved_in_pieces_it_comes_back_whole(tmp_path_factory, episode_lengths, 
         if i % every == 0:
             state = growing.save(folder)
     state = growing.save(folder)
-    restored = Experience(1, 1, 2, 1)
+    restored = Experience(1, 1, Spaces(2, 1))
     restored.load(folder, state)
     assert restored.episodes == growing.episodes
     assert (restored.rows, restored.transitions) == (growing.rows, growing.transitions)
@@ -165,7 +166,7 @@ def test_a_damaged_log_is_a_damaged_checkpoint(tmp_path):
     data[30] ^= 1
     path.write_bytes(data)
     with pytest.raises(CheckpointError, match="damaged"):
-        Experience(20, 20, 2, 1).load(tmp_path, state)
+        Experience(20, 20, Spaces(2, 1)).load(tmp_path, state)
 
 
 def test_episodes_are_the_finished_ones():

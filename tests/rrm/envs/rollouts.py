@@ -21,7 +21,7 @@ HORIZON = 30
 
 def actions(name: str, count: int, seed: int) -> np.ndarray:
     """Uniform actions float32 [count, A]."""
-    return np.random.default_rng(seed).uniform(-1, 1, (count, task(name).act_dim)).astype(np.float32)
+    return np.random.default_rng(seed).uniform(-1, 1, (count, task(name).spaces.act)).astype(np.float32)
 
 
 def roll(env: Env, acts: np.ndarray) -> list:

@@ -60,9 +60,9 @@ def test_description(name):
     spec = task(name)
     env = make(name)
     obs, _ = env.reset(seed=0)
-    assert obs.shape == env.observation_space.shape == (spec.obs_dim,)
+    assert obs.shape == env.observation_space.shape == (spec.spaces.obs,)
     assert obs.dtype == np.float32
-    assert env.action_space == gymnasium.spaces.Box(-1, 1, (spec.act_dim,), np.float32)
+    assert env.action_space == gymnasium.spaces.Box(-1, 1, (spec.spaces.act,), np.float32)
     ends = []
     for act in actions(name, spec.horizon, seed=0):
         obs, reward, terminated, truncated, info = env.step(act)

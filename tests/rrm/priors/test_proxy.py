@@ -12,7 +12,7 @@ from rrm.priors.step import PriorStep, Scene
 def state(name, **features):
     """An observation of the task with these features, every other number 0.5."""
     spec = task(name)
-    obs = np.full(spec.obs_dim, 0.5, np.float32)
+    obs = np.full(spec.spaces.obs, 0.5, np.float32)
     for feature, value in features.items():
         obs[spec.features[feature]] = value
     return obs
@@ -21,7 +21,7 @@ def state(name, **features):
 def step(name, *, success=0.0, seed=0, **features):
     spec, obs = task(name), state(name, **features)
     info = {"success": success} if spec.score == "success" else dict.fromkeys(spec.outcomes, 0.5)
-    act = np.zeros(spec.act_dim, np.float32)
+    act = np.zeros(spec.spaces.act, np.float32)
     return PriorStep(spec, obs, act, info, np.random.default_rng(seed), Scene(spec, obs))
 
 

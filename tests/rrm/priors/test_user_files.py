@@ -14,8 +14,8 @@ TOY = task("toy-car")
 
 @pytest.fixture
 def toy_step():
-    obs = np.arange(TOY.obs_dim, dtype=np.float32)
-    first = Scene(TOY, np.ones(TOY.obs_dim, np.float32))
+    obs = np.arange(TOY.spaces.obs, dtype=np.float32)
+    first = Scene(TOY, np.ones(TOY.spaces.obs, np.float32))
     return PriorStep(TOY, obs, np.array([0.25, -1], np.float32), {"success": 1.0}, np.random.default_rng(0), first)
 
 

@@ -8,6 +8,7 @@ import torch
 
 from rrm.agents.sac import Sac
 from rrm.config import AgentConfig, MrnConfig, RewardConfig
+from rrm.envs import Spaces
 from rrm.rewards.ensemble import EnsembleReward
 from rrm.rewards.mrn import Mrn
 from rrm.rewards.residual import ResidualReward
@@ -29,7 +30,7 @@ def mrn(settings=None, kind=ResidualReward):
 
 
 def sac(critic_lr=0.1):
-    return Sac(AgentConfig(hidden=16, layers=2, batch=32, critic_lr=critic_lr), OBS, ACT, Streams(0))
+    return Sac(AgentConfig(hidden=16, layers=2, batch=32, critic_lr=critic_lr), Spaces(OBS, ACT), Streams(0))
 
 
 def batch(rows=32, seed=0):
@@ -180,7 +181,7 @@ def test_the_target_is_that_of_the_critics_update():
 def test_asking_leaves_the_agent_as_it_was():
     """Critics, optimisers and the noise of updates and actions are the same after a step of the reward."""
     agent, streams = sac(), Streams(0)
-    agent = Sac(agent.config, OBS, ACT, streams)
+    agent = Sac(agent.config, Spaces(OBS, ACT), streams)
     before = agent.state_dict(), {n: g.get_state() for n, g in streams._torch.items()}
     assert mrn().refine(batch(), agent, Answers())
     after = agent.state_dict(), {n: g.get_state() for n, g in streams._torch.items()}

@@ -95,7 +95,7 @@ def test_another_parent_than_expected_means_stop() -> None:
 def test_a_worker_that_cannot_leave_ends_itself_and_what_it_started() -> None:
     """Its parent is gone and it does nothing about that: after its time (here short) nothing of its group is left."""
     script = (
-        "import os, subprocess, sys, time; from rrmctl.running import lifeline as l; l._GRACE_S = 0.2;"
+        "import os, subprocess, sys, time; from rrmctl.running import parent_link as l; l._GRACE_S = 0.2;"
         "other = subprocess.Popen([sys.executable, '-c', 'import time; time.sleep(600)'], stdout=subprocess.DEVNULL);"
         "print(other.pid, flush=True); l.StopRequest(os.getpid(), l.Pipe(None)).__enter__(); time.sleep(600)"
     )

@@ -10,8 +10,8 @@ from rrm.priors.step import PriorStep, Scene
 def random_step(name, rng):
     """A step of the task with everything drawn from a normal distribution, as read-only as in a run."""
     spec = task(name)
-    obs, first = rng.normal(size=(2, spec.obs_dim)).astype(np.float32)
-    act = rng.uniform(-1, 1, spec.act_dim).astype(np.float32)
+    obs, first = rng.normal(size=(2, spec.spaces.obs)).astype(np.float32)
+    act = rng.uniform(-1, 1, spec.spaces.act).astype(np.float32)
     for array in (obs, first, act):
         array.flags.writeable = False
     info = {"success": 0.0, "unscaled_reward": 7.0} | {name: rng.normal() for name in spec.outcomes}

@@ -88,7 +88,7 @@ def test_range(name):
 
 def walking(**outcomes):
     spec = task("walker-walk")
-    obs = np.zeros(spec.obs_dim, np.float32)
+    obs = np.zeros(spec.spaces.obs, np.float32)
     return PriorStep(spec, obs, np.zeros(6, np.float32), outcomes, np.random.default_rng(0), Scene(spec, obs))
 
 
@@ -116,7 +116,7 @@ def test_arms_praise_progress(name):
     spec, prior = task(name), load_prior("language")
 
     def value(hand, share):
-        obs = np.zeros(spec.obs_dim, np.float32)
+        obs = np.zeros(spec.spaces.obs, np.float32)
         start, goal = np.array([0.0, 0.6, 0.1]), np.array([0.2, 0.8, 0.1])
         first = obs.copy()
         first[ARM["object"]], first[ARM["goal"]] = start, goal
