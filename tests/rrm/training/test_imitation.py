@@ -26,6 +26,7 @@ from rrm.training.demos_config import DemosConfig
 from rrm.training.jobs import collect, perform, train
 from rrm.training.loop import Trainer
 from rrm.training.run_config import RunConfig
+from rrm.types import Obs
 
 IMITATION = ImitationConfig(
     seed_steps=100, every=50, updates=4, minibatch=8, hidden=16, layers=1, window=150, switch=300
@@ -202,7 +203,7 @@ def test_demonstrations_are_of_the_expert(results, recorder, tmp_path):
     trainer = Trainer(config.expert)
     trainer.agent.load_state_dict(decode((results[config.expert.identity] / "model.safetensors").read_bytes())["agent"])
     for obs, act in zip(demos.obs[:5], demos.act[:5], strict=True):
-        np.testing.assert_array_equal(trainer.agent.act(obs, explore=False), act)
+        np.testing.assert_array_equal(trainer.agent.act(Obs(obs), explore=False), act)
     trainer.close()
 
 
