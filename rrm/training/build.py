@@ -85,35 +85,33 @@ def build_agent(config: RunConfig, streams: Streams) -> Agent:
     return agent
 
 
+@dataclass(frozen=True)
 class _Phases:
     """The phases of each kind of reward."""
 
-    def __init__(
-        self, config: RunConfig, streams: Streams, results: Results, experience: Experience, replay: Replay
-    ) -> None:
-        self._config = config
-        self._streams = streams
-        self._results = results
-        self._experience = experience
-        self._replay = replay
+    config: RunConfig
+    streams: Streams
+    results: Results
+    experience: Experience
+    replay: Replay
 
     def all(self) -> tuple[Phase, ...]:
-        kind = self._config.reward.kind
+        kind = self.config.reward.kind
         if kind.demonstrated:
             return self._from_demonstrations()
         return self._known() if kind.known else self._from_preferences()
 
     def _known(self) -> tuple[Phase, ...]:
-        source = (PriorAlone if self._config.reward.kind is PRIOR_ALONE else TrueReward)(self._replay)
-        return self._begun_by(source), Phase(name=source.name, begin=self._config.random_steps, source=source)
+        source = (PriorAlone if self.config.reward.kind is PRIOR_ALONE else TrueReward)(self.replay)
+        return self._begun_by(source), Phase(name=source.name, begin=self.config.random_steps, source=source)
 
     def _from_preferences(self) -> tuple[Phase, ...]:
         """PEBBLE's: an unsupervised phase (none before a residual), and a fresh critic for the first reward."""
-        config, streams = self._config, self._streams
+        config, streams = self.config, self.streams
         learner_class = lookup(LEARNERS, "learner", config.reward.learner)
         reward = build_reward(config, streams)
         source = self._preferences(learner_class(reward, config.reward, streams.numpy("reward")))
-        entropy = StateEntropy(source, self._experience, self._replay, config.exploration.neighbours)
+        entropy = StateEntropy(source, self.experience, self.replay, config.exploration.neighbours)
         return (
             self._begun_by(source),
             Phase(name="unsupervised", begin=config.random_steps, source=entropy),
@@ -124,18 +122,18 @@ class _Phases:
         )  # fmt: skip
 
     def _from_demonstrations(self) -> tuple[Phase, ...]:
-        config = self._config
+        config = self.config
         kept = not config.reward.kind.learned
         source = Adversarial(
-            config.imitation, self._demonstrations(), self._replay,
-            discount=config.agent.discount, streams=self._streams, precision=config.precision,
+            config.imitation, self._demonstrations(), self.replay,
+            discount=config.agent.discount, streams=self.streams, precision=config.precision,
             about={"task": config.task, "seed": config.seed} if kept else None,
         )  # fmt: skip
         phases = self._begun_by(source), Phase(name=source.name, begin=config.random_steps, source=source)
         if kept:
             return phases
         g = ImitatedReward(source.airl.discriminator.g)
-        tuned = self._preferences(Finetune(g, config.reward, self._streams.numpy("reward"), source.log))
+        tuned = self._preferences(Finetune(g, config.reward, self.streams.numpy("reward"), source.log))
         updates = int(config.first_session % config.agent.update_every == 0)  # the agent learns on as it did
         return *phases, Phase(name=tuned.name, begin=config.first_session, source=tuned, first_updates=updates)
 
@@ -143,28 +141,28 @@ class _Phases:
         return Phase(name="random", begin=0, source=source, random=True)
 
     def _preferences(self, learner: RewardLearner) -> PreferenceReward:
-        config, streams = self._config, self._streams
+        config, streams = self.config, self.streams
         assert config.feedback is not None  # the configuration has checked both
         assert config.teacher is not None
         config.check_margin(learner.needs.margin)
-        teacher = ScriptedTeacher(config.teacher, streams.numpy("teacher"), self._experience)
+        teacher = ScriptedTeacher(config.teacher, streams.numpy("teacher"), self.experience)
         return PreferenceReward(
             config.feedback,
             first=config.first_session, steps=config.steps, capacity=config.reward.capacity,
-            experience=self._experience, replay=self._replay, learner=learner, teacher=teacher,
+            experience=self.experience, replay=self.replay, learner=learner, teacher=teacher,
             rng=streams.numpy("query"), unlabelled_rng=streams.numpy("unlabelled"),
         )  # fmt: skip
 
     def _demonstrations(self) -> Demonstrations:
-        named = self._config.imitation.demos
-        path = Path(named) if named is not None else result_of(self._results, self._config.imitation.demos_run, DEMOS)
+        named = self.config.imitation.demos
+        path = Path(named) if named is not None else result_of(self.results, self.config.imitation.demos_run, DEMOS)
         try:
             demos = Demonstrations.load(path)
         except DemosError as error:
             if named is not None:
                 raise
             raise MissingResultError(f"{error}: {again(path)}") from error
-        demos.check(self._config.spec(), str(path))
+        demos.check(self.config.spec(), str(path))
         return demos
 
 

@@ -8,26 +8,23 @@ from typing import ClassVar, Literal, Self
 
 from pydantic import model_validator
 
-from rrm.config import ConfigSection, Count, Fraction, NonNegative
-from rrm.envs.tasks import Task
+from rrm.config import Count, Fraction, NonNegative
 from rrm.errors import ConfigError
 from rrm.precision import Precision
+from rrm.training.kinds import JobConfig
 from rrm.training.run_config import CONFIG_VERSION, RunConfig
 
 
-class DemosConfig(ConfigSection):
+class DemosConfig(JobConfig):
     """Episodes of a trained policy, played deterministically (appendix "Imitation rewards")."""
 
-    kind: ClassVar[Literal["demos"]] = "demos"  #: of job
+    kind: ClassVar[Literal["demos"]] = "demos"
 
-    profile: str = "paper"
-    task: str
     seed: NonNegative = 0  #: of the instances that are played
     expert: RunConfig  #: the run whose policy plays
     episodes: Count = 50
     least_success: Fraction = 0.8  #: share of the episodes that must succeed, where the task has that notion
     precision: Precision = "float32"
-    threads: Count = 1
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
@@ -37,7 +34,6 @@ class DemosConfig(ConfigSection):
 
     @property
     def method(self) -> str:
-        """Its name in tables."""
         return "demos"
 
     @property
@@ -47,25 +43,18 @@ class DemosConfig(ConfigSection):
 
     @property
     def requires(self) -> tuple[str, ...]:
-        """Identities of the runs whose results this one starts from."""
         return (self.expert.identity,)
 
-    def canonical(self) -> DemosConfig:
-        """The same run with everything that cannot change its numbers at its default."""
+    def canonical(self) -> Self:
         return self.model_copy(update={"expert": self.expert.canonical()})
 
     @property
     def identity(self) -> str:
-        """Sixteen hex digits that stand for everything that can change the demonstrations."""
         described = self.model_dump(mode="json", exclude_defaults=True, exclude={"expert"})
-        told = {"version": CONFIG_VERSION, "kind": self.kind, "expert": self.expert.identity, **described}
-        return hashlib.sha256(json.dumps(told, sort_keys=True).encode()).hexdigest()[:16]
+        described |= {"version": CONFIG_VERSION, "kind": self.kind, "expert": self.expert.identity}
+        return hashlib.sha256(json.dumps(described, sort_keys=True).encode()).hexdigest()[:16]
 
     @property
     def cell(self) -> str:
         """Demonstrations are averaged with nothing: their own identity."""
         return self.identity
-
-    def spec(self) -> Task:
-        """The task's description."""
-        return self.expert.spec()

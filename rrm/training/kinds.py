@@ -1,66 +1,64 @@
-"""The kinds of job that a process can be given. No torch is imported here."""
+"""The kinds of job that a process can be given, and what all their configurations tell. No torch is imported here."""
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar, Protocol
+from typing import TYPE_CHECKING, Any, ClassVar, Self
 
+from rrm.config import ConfigSection, Count, NonNegative
+from rrm.envs.tasks import Task, task
 from rrm.errors import UnknownNameError
 from rrm.registry import lookup
 
-if TYPE_CHECKING:
-    from rrm.envs.tasks import Task
 
-
-class JobConfig(Protocol):
-    """What every job's configuration tells; a frozen pydantic model. Two jobs of equal identity are the same job."""
+class JobConfig(ConfigSection, ABC):
+    """What every job's configuration tells. Two jobs of equal identity are the same job."""
 
     kind: ClassVar[Any]  #: its name in `JOBS`
 
-    @property
-    def profile(self) -> str:
-        """Which scale this is."""
+    profile: str = "paper"  #: which scale this is; reports never mix two
+    task: str
+    seed: NonNegative  #: of all random numbers
+    threads: Count = 1  #: of torch; another number may round differently
+
+    if TYPE_CHECKING:  # a setting of some kinds, of others it follows
+
+        @property
+        def steps(self) -> int:
+            """Environment steps."""
 
     @property
-    def task(self) -> str:
-        """The task's name."""
-
-    @property
-    def seed(self) -> int:
-        """Of all random numbers."""
-
-    @property
-    def threads(self) -> int:
-        """Of torch."""
-
-    @property
-    def steps(self) -> int:
-        """Environment steps."""
-
-    @property
+    @abstractmethod
     def method(self) -> str:
         """Its name in tables."""
 
     @property
+    @abstractmethod
     def requires(self) -> tuple[str, ...]:
         """Identities of the jobs whose results this one starts from."""
 
     @property
+    @abstractmethod
     def identity(self) -> str:
         """Sixteen hex digits that stand for everything that can change its results."""
 
     @property
+    @abstractmethod
     def cell(self) -> str:
-        """The identity of all seeds together."""
+        """The identity of all seeds together: what is equal between the jobs one averages over."""
 
-    def canonical(self) -> JobConfig:
-        """The same job with everything that cannot change its results at its default."""
+    @abstractmethod
+    def canonical(self) -> Self:
+        """The same job with everything that cannot change its results at its default, and user files digested.
+
+        Raises:
+            ConfigError: a file of the user's cannot be read.
+        """
 
     def spec(self) -> Task:
         """The task's description."""
-
-    def model_dump(self, *, mode: str = "python") -> dict[str, Any]:
-        """All of it as plain values."""
+        return task(self.task)
 
 
 @dataclass(frozen=True)

@@ -25,16 +25,16 @@ from rrm.config import (
     ExplorationConfig,
     FeedbackConfig,
     ImitationConfig,
-    NonNegative,
     RewardConfig,
     TeacherConfig,
 )
-from rrm.envs.tasks import TASKS, Task, task
+from rrm.envs.tasks import TASKS, task
 from rrm.errors import ConfigError, UnknownNameError
 from rrm.precision import PrecisionSetting
 from rrm.priors import check_prior
 from rrm.registry import check_file, file_digest, is_file_reference, source_digest
 from rrm.rewards import LEARNERS
+from rrm.training.kinds import JobConfig
 
 _S = TypeVar("_S", bound=ConfigSection)
 
@@ -45,14 +45,11 @@ CONFIG_VERSION = 2
 _MOST_SESSIONS = 10_000
 
 
-class RunConfig(ConfigSection):
+class RunConfig(JobConfig):
     """One run. Two runs with equal configurations are the same run."""
 
-    kind: ClassVar[Literal["train"]] = "train"  #: of job
+    kind: ClassVar[Literal["train"]] = "train"
 
-    profile: str = "paper"  #: which scale this is; reports never mix two
-    task: str
-    seed: NonNegative
     steps: Count  #: environment steps
     horizon: Count | None = None  #: steps of an episode where shorter than the task's own
     agent: AgentConfig = AgentConfig()
@@ -63,7 +60,6 @@ class RunConfig(ConfigSection):
     imitation: ImitationConfig = ImitationConfig()  #: of runs that learn from demonstrations, and of planning theirs
     evaluation: EvaluationConfig = EvaluationConfig()
     precision: PrecisionSetting = "float32"  #: of products between hidden layers; "auto" is this machine's fastest
-    threads: Count = 1  #: of torch; another number may round differently
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
@@ -137,7 +133,6 @@ class RunConfig(ConfigSection):
 
     @property
     def requires(self) -> tuple[str, ...]:
-        """Identities of the runs whose results this one starts from."""
         return tuple(run for run in (self.reward.prior_run, self.imitation.demos_run) if run is not None)
 
     @property
@@ -174,12 +169,7 @@ class RunConfig(ConfigSection):
             return learner
         return f"rrm-{prior}" if learner == "pebble" else f"rrm-{learner}-{prior}"
 
-    def canonical(self) -> RunConfig:
-        """The same run with everything that cannot change its numbers at its default, and user files digested.
-
-        Raises:
-            ConfigError: a file of the user's cannot be read.
-        """
+    def canonical(self) -> Self:
         reward, explore = self.reward, self.exploration
         changes: dict[str, Any] = {"imitation": self._canonical_imitation()}
         if reward.prior != IMITATION:
@@ -223,16 +213,13 @@ class RunConfig(ConfigSection):
 
     @property
     def identity(self) -> str:
-        """Sixteen hex digits that stand for everything that can change the run's numbers.
-
-        Values equal to their default are left out, so that a new setting whose default changes nothing keeps the
+        """Values equal to their default are left out, so that a new setting whose default changes nothing keeps the
         identities of runs made before it existed; a default that changes numbers raises `CONFIG_VERSION`.
         """
         return self._digest(exclude=set())
 
     @property
     def cell(self) -> str:
-        """The identity of the run's seeds together: what is equal between the runs one averages over."""
         return self._digest(exclude={"seed"})
 
     def _digest(self, exclude: set[str]) -> str:
@@ -244,10 +231,6 @@ class RunConfig(ConfigSection):
         described.get("imitation", {}).pop("demos", None)  # likewise
         text = json.dumps({"version": CONFIG_VERSION, **described}, sort_keys=True, allow_nan=False)
         return hashlib.sha256(text.encode()).hexdigest()[:16]
-
-    def spec(self) -> Task:
-        """The task's description."""
-        return task(self.task)
 
     def sessions(self) -> int:
         """Feedback sessions that fit into the run at its budget; 0 where nothing is learned."""
