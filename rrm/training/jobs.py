@@ -128,13 +128,19 @@ def train(
         make_folder(checkpoints.folder)
         trainer = _restore(lambda: Trainer(config, results, assembled), checkpoints, monitor)
     monitor.restored(trainer.rows)
+    session = _Session(trainer, checkpoints, monitor, checkpoint_every_s)
     try:
-        finished = _Session(trainer, checkpoints, monitor, checkpoint_every_s).run()
+        finished = session.run()
         if finished:
             left = trainer.legacy()
             with monitor.writing():
                 write_atomically(folder / "model.safetensors", encode(left))
             _tell(left.get("imitation"), monitor)
+    except (NumericalError, PriorError) as error:
+        saved, step = session.saved_step, trainer.step
+        last = f"the last good checkpoint is of step {saved:,}" if saved else "no checkpoint yet"
+        where = "" if f"step {step}" in str(error) else f"at step {step:,}; "
+        raise type(error)(f"{error} ({where}{last})") from error
     finally:
         trainer.close()
     if finished:
@@ -189,28 +195,18 @@ class _Session:
         self.monitor = monitor
         self.checkpoint_every_s = checkpoint_every_s
         self._saved_at = time.monotonic()
-        self._saved_step = trainer.step
+        self.saved_step = trainer.step
         self._generations = deque([trainer.experience.generation], maxlen=KEPT)  # of the checkpoints that are kept
 
     def run(self) -> bool:
-        try:
-            return self._run()
-        except (NumericalError, PriorError) as error:
-            last = (
-                f"the last good checkpoint is of step {self._saved_step:,}" if self._saved_step else "no checkpoint yet"
-            )
-            step = self.trainer.step
-            where = "" if f"step {step}" in str(error) else f"at step {step:,}; "
-            raise type(error)(f"{error} ({where}{last})") from error
-        except WaitingError:
-            self._save()
-            raise
-
-    def _run(self) -> bool:
         trainer, config = self.trainer, self.trainer.config
         beat_at, beat_step = time.monotonic(), trainer.step
         while trainer.step < config.steps:
-            trainer.advance()
+            try:
+                trainer.advance()
+            except WaitingError:
+                self._save()
+                raise
             if trainer.step % config.evaluation.every == 0 or trainer.step == config.steps:
                 self.monitor.row(trainer.evaluate())
                 with self.monitor.writing():
@@ -224,7 +220,7 @@ class _Session:
                 break
             if now - self._saved_at >= self.checkpoint_every_s:
                 self._save()
-        if trainer.step < config.steps and self._saved_step != trainer.step:
+        if trainer.step < config.steps and self.saved_step != trainer.step:
             self._save()
         return trainer.step == config.steps
 
@@ -238,4 +234,4 @@ class _Session:
             self.checkpoints.save(trainer.step, state)
             self._generations.append(trainer.experience.generation)
             trainer.experience.discard(self.checkpoints.folder, self._generations)
-        self._saved_at, self._saved_step = time.monotonic(), trainer.step
+        self._saved_at, self.saved_step = time.monotonic(), trainer.step

@@ -21,7 +21,7 @@ from rrm.seeding import Streams, evaluation_seed
 from rrm.sources.base import RewardSource
 from rrm.training.build import Assembled, Results, assemble
 from rrm.training.evaluate import evaluate
-from rrm.training.phases import Phase, phase_at
+from rrm.training.phases import phase_at
 from rrm.training.run_config import RunConfig
 from rrm.types import EvalRow, Floats, Obs, State, Transition
 
@@ -95,9 +95,15 @@ class Trainer:
         missing = phase.source.waiting()
         if missing:
             raise WaitingError(missing)
-        act = self._act(phase)
+        if phase.random:
+            act = self._explore.uniform(-1.0, 1.0, self.config.spec().spaces.act).astype(np.float32)
+        else:
+            act = self.agent.act(self._obs, explore=True)
         phase.source.attend(self.step, self.agent)
-        self._update(phase)
+        if self.step == phase.begin and phase.reset_critic:
+            self.agent.reset_critic()
+        for _ in range(phase.updates(self.step, self.config.agent.update_every)):
+            self.agent.update(phase.source.batch(self.agent))
         step = self._take(act)
         reward = phase.source.reward(step)
         if not np.isfinite(reward):
@@ -106,23 +112,11 @@ class Trainer:
         self._return += step.true_reward
         self._length += 1
         if step.terminated or step.truncated:
-            self._obs = self._finish_episode()
+            for source in self.sources.values():
+                source.episode_over(self._return, self._length)
+            self._return, self._length = 0.0, 0
+            self._obs = self._reset()
         self.step += 1
-
-    def _act(self, phase: Phase) -> Floats:
-        if phase.random:
-            return self._explore.uniform(-1.0, 1.0, self.config.spec().spaces.act).astype(np.float32)
-        return self.agent.act(self._obs, explore=True)
-
-    def _update(self, phase: Phase) -> None:
-        if self.step > phase.begin:
-            updates = int(not phase.random and self.step % self.config.agent.update_every == 0)
-        else:
-            updates = phase.first_updates
-            if phase.reset_critic:
-                self.agent.reset_critic()
-        for _ in range(updates):
-            self.agent.update(phase.source.batch(self.agent))
 
     def _take(self, act: Floats) -> Transition:
         next_obs, true_reward, terminated, truncated, info = self.env.step(act)
@@ -133,12 +127,6 @@ class Trainer:
         return Transition(
             obs.state, act, next_obs.state, prior, raw, true_reward, terminated, truncated, obs.newest, next_obs.newest
         )
-
-    def _finish_episode(self) -> Obs:
-        for source in self.sources.values():
-            source.episode_over(self._return, self._length)
-        self._return, self._length = 0.0, 0
-        return self._reset()
 
     def _reset(self, seed: int | None = None) -> Obs:
         obs = self.env.reset(seed=seed)

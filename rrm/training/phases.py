@@ -23,6 +23,12 @@ class Phase:
     reset_critic: bool = False
     first_updates: int = 0  #: at the first step
 
+    def updates(self, step: int, every: int) -> int:
+        """How many updates are due at a step of this phase, one `every` so many steps."""
+        if step == self.begin:
+            return self.first_updates
+        return int(not self.random and step % every == 0)
+
 
 def phase_at(phases: Sequence[Phase], step: int) -> Phase:
     """The last phase that has begun; one that another begins with has no step of its own."""
