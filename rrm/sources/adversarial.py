@@ -63,9 +63,9 @@ class Adversarial(RewardSource):
 
     def reward(self, step: Transition) -> float:
         """As it is now, for the curve; what the agent learns from is taken anew with every batch."""
-        before, did, after = (torch.from_numpy(each)[None] for each in (step.obs, step.act, step.next_obs))
+        obs, act, next_obs = (torch.from_numpy(part)[None] for part in (step.obs, step.act, step.next_obs))
         blank, continues = torch.zeros(1), torch.tensor([0.0 if step.terminated else 1.0])
-        return float(self.airl.look(Batch(before, did, blank, blank, after, continues)))
+        return float(self.airl.look(Batch(obs, act, blank, blank, next_obs, continues)))
 
     def attend(self, step: int, agent: Agent) -> None:
         """Train the discriminator, if it is due."""

@@ -152,8 +152,8 @@ class PreferenceReward(RewardSource):
         """`label_accuracy`: agreement with the labels during the last epoch of the last training, NaN before;
         `true_accuracy`: with the true reward, on fresh pairs; and the learner's own.
         """
-        told = {"label_accuracy": self._label_accuracy, "true_accuracy": self.true_accuracy(rng)}
-        return told | self.learner.metrics()
+        accuracy = {"label_accuracy": self._label_accuracy, "true_accuracy": self.true_accuracy(rng)}
+        return accuracy | self.learner.metrics()
 
     def true_accuracy(self, rng: np.random.Generator) -> float:
         """Agreement of the reward with the true one on 256 fresh uniform pairs, ties of the true return left out."""

@@ -48,12 +48,15 @@ class Journal:
 
     def ask(self, experience: Experience, pairs: Rows, length: int, step: int) -> list[Query]:
         """Write down queries about pairs of segments of `length` steps, int64 [n, 2] first rows, and return them."""
-        asked = [Query(_digest(experience, pair, length), SegmentRef(int(pair[0]), length),
-                       SegmentRef(int(pair[1]), length), step) for pair in pairs]  # fmt: skip
-        self._queries += asked
-        self._answers += [None] * len(asked)
-        self._applied += [-1] * len(asked)
-        return asked
+        queries = [
+            Query(_digest(experience, pair, length), SegmentRef(first, length), SegmentRef(second, length), step)
+            for pair in pairs
+            for first, second in [pair.tolist()]
+        ]
+        self._queries += queries
+        self._answers += [None] * len(queries)
+        self._applied += [-1] * len(queries)
+        return queries
 
     def answer(self, answer: Answer) -> None:
         """Write down an answer: to the first open query of its id; one to no such query is passed over."""
@@ -85,8 +88,8 @@ class Journal:
         ids = state["ids"].view(np.uint64).tolist()
         rows = state["rows"].reshape(-1, 3).tolist()
         self._queries = [
-            Query(f"{name:016x}", SegmentRef(first, length), SegmentRef(second, length), asked)
-            for name, (first, second, length), asked in zip(ids, rows, state["asked"].tolist(), strict=True)
+            Query(f"{name:016x}", SegmentRef(first, length), SegmentRef(second, length), step)
+            for name, (first, second, length), step in zip(ids, rows, state["asked"].tolist(), strict=True)
         ]
         self._answers = [None if answer == -1 else answer for answer in state["answers"].tolist()]
         self._applied = state["applied"].tolist()

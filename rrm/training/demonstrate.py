@@ -77,12 +77,14 @@ def demonstrate(
                 return None
     finally:
         env.close()
-    steps = {name: np.concatenate([each[name] for each in played]) for name in ("obs", "act", "next_obs", "terminated")}
+    steps = {
+        name: np.concatenate([episode[name] for episode in played]) for name in ("obs", "act", "next_obs", "terminated")
+    }
     demos = Demonstrations(
         **steps,
-        lengths=np.array([len(each["obs"]) for each in played], np.int64),
-        returns=np.array([each["return"] for each in played], np.float64),
-        successes=np.array([each["success"] for each in played], np.float64),
+        lengths=np.array([len(episode["obs"]) for episode in played], np.int64),
+        returns=np.array([episode["return"] for episode in played], np.float64),
+        successes=np.array([episode["success"] for episode in played], np.float64),
         provenance={"task": task, "seed": seed, **source},
     )
     if demos.success < least_success:

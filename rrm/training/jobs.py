@@ -94,8 +94,8 @@ def collect(config: DemosConfig, folder: Path, monitor: Monitor, results: Result
         return False
     with monitor.writing():
         demos.save(folder / DEMOS)
-    told = demos.summary()
-    monitor.note(f"{told['episodes']} episodes, {_worth(told)}")
+    summary = demos.summary()
+    monitor.note(f"{summary['episodes']} episodes, {_worth(summary)}")
     return True
 
 
@@ -157,10 +157,10 @@ def _tell(prior: State | None, monitor: Monitor) -> None:
     monitor.note(f"the prior is g of step {prior['step']:,}, {_worth(prior)}; it runs from {spans}")
 
 
-def _worth(told: Mapping[str, Any]) -> str:
+def _worth(policy: Mapping[str, Any]) -> str:
     """Success, where the task has that notion, and return in words."""
-    success = "" if told["success"] is None else f"success {told['success']:.0%}, "
-    return f"{success}mean return {told['true_return']:,.1f}"
+    success = "" if policy["success"] is None else f"success {policy['success']:.0%}, "
+    return f"{success}mean return {policy['true_return']:,.1f}"
 
 
 def _restore(fresh: Callable[[], Trainer], checkpoints: Checkpoints, monitor: Monitor) -> Trainer:

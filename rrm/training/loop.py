@@ -163,10 +163,10 @@ class Trainer:
     def _lived(self) -> dict[str, Any]:
         rows = self.experience.since(self._row_transition)
         reward, prior = self.experience.reward[rows].double(), self.experience.prior[rows].double()
-        known = self.prior is not None
+        has_prior = self.prior is not None
         return {
-            "prior_mean": float(prior.mean()) if known else _NAN,
-            "residual_mean": float((reward - prior).mean()) if known else _NAN,
+            "prior_mean": float(prior.mean()) if has_prior else _NAN,
+            "residual_mean": float((reward - prior).mean()) if has_prior else _NAN,
             "reward_mean": float(reward.mean()),
             "reward_std": float(reward.std(correction=0)),
             "true_reward_mean": float(self.experience.true_reward[rows].double().mean()),

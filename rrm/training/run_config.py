@@ -244,12 +244,12 @@ class RunConfig(JobConfig):
         sizes: list[int] = []
         if not self.reward.kind.learned or self.feedback is None:
             return sizes
-        asked = 0
+        queries = 0
         for step in range(self.first_session, self.steps, self.feedback.every):
-            if asked >= self.feedback.budget:
+            if queries >= self.feedback.budget:
                 break
-            sizes.append(self.feedback.session_size(step, self.steps, asked))
-            asked += sizes[-1]
+            sizes.append(self.feedback.session_size(step, self.steps, queries))
+            queries += sizes[-1]
         return sizes
 
 
