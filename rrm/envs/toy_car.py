@@ -49,7 +49,7 @@ _PIXELS = 320  #: side of a rendered frame
 Point = tuple[float, float]
 
 
-class Course(NamedTuple):
+class Layout(NamedTuple):
     """What a reset draws, apart from the car."""
 
     goal: Point
@@ -71,7 +71,7 @@ class ToyCarEnv(TaskEnv):
         high = [ARENA] * 4 + [across] + [TOP_SPEED] * 2 + [across] * 8
         low = [-bound for bound in high]
         super().__init__(low, high, obs_dim=15, act_dim=2, horizon=horizon, render_mode=render_mode)
-        self.layout = Course((0.0, 0.0), ((0.0, 0.0),) * 3)
+        self.layout = Layout((0.0, 0.0), ((0.0, 0.0),) * 3)
         self.position: Point = (0.0, 0.0)
         self.velocity: Point = (0.0, 0.0)
 
@@ -100,7 +100,7 @@ class ToyCarEnv(TaskEnv):
 
     def _restore(self, state: State) -> None:
         first, second, third = (_point(centre) for centre in state["obstacles"])
-        self.layout = Course(_point(state["goal"]), (first, second, third))
+        self.layout = Layout(_point(state["goal"]), (first, second, third))
         self.position, self.velocity = _point(state["position"]), _point(state["velocity"])
 
     def render(self) -> npt.NDArray[np.uint8] | None:
@@ -110,7 +110,7 @@ class ToyCarEnv(TaskEnv):
         return _draw_frame(self.layout, self.position, self.velocity)
 
 
-def draw(rng: np.random.Generator) -> tuple[Course, Point]:
+def draw(rng: np.random.Generator) -> tuple[Layout, Point]:
     """A layout, and where the car starts. The number of draws is the same whatever comes out."""
     turn, spread, away, off = rng.uniform((-math.pi, -0.3, 1.75, 1.75), (math.pi, 0.3, 2.0, 2.0)).tolist()
     start = (-away * math.cos(turn), -away * math.sin(turn))
@@ -119,7 +119,7 @@ def draw(rng: np.random.Generator) -> tuple[Course, Point]:
     along = rng.uniform(0.35, 0.65, size=3).tolist()
     aside = rng.uniform((-0.25, 1.0, -1.4), (0.25, 1.4, -1.0)).tolist()
     first, second, third = (_beside(start, goal, t, s) for t, s in zip(along, aside, strict=True))
-    return Course(goal, (first, second, third)), start
+    return Layout(goal, (first, second, third)), start
 
 
 def _beside(start: Point, goal: Point, along: float, aside: float) -> Point:
@@ -128,7 +128,7 @@ def _beside(start: Point, goal: Point, along: float, aside: float) -> Point:
     return start[0] + along * dx - aside * dy / length, start[1] + along * dy + aside * dx / length
 
 
-def drive(layout: Course, position: Point, velocity: Point, action: Point) -> tuple[Point, Point]:
+def drive(layout: Layout, position: Point, velocity: Point, action: Point) -> tuple[Point, Point]:
     """Position and velocity after one step."""
     x = position[0] + _STEP_S * (0.5 * velocity[0] + action[0])
     y = position[1] + _STEP_S * (0.5 * velocity[1] + action[1])
@@ -140,7 +140,7 @@ def _speed(covered: float) -> float:
     return min(max(covered / _STEP_S, -TOP_SPEED), TOP_SPEED)
 
 
-def observe(layout: Course, position: Point, velocity: Point) -> list[float]:
+def observe(layout: Layout, position: Point, velocity: Point) -> list[float]:
     """The 15 numbers the agent sees, metres and m/s.
 
     0:2 the car, 2:4 the goal, 4 the clearance, 5:7 the velocity, 7:9 the way to the goal, and 9:15 the ways to the
@@ -186,7 +186,7 @@ def _outside(x: float, y: float, obstacles: tuple[Point, ...]) -> Point:
     return min(max(x, -ARENA), ARENA), min(max(y, -ARENA), ARENA)
 
 
-def _draw_frame(layout: Course, position: Point, velocity: Point) -> npt.NDArray[np.uint8]:
+def _draw_frame(layout: Layout, position: Point, velocity: Point) -> npt.NDArray[np.uint8]:
     import cv2
 
     frame = np.full((_PIXELS, _PIXELS, 3), 245, dtype=np.uint8)

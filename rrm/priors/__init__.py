@@ -13,13 +13,10 @@ from rrm.config import IMITATION
 from rrm.envs.tasks import Task
 from rrm.errors import ConfigError, PriorError, UnknownNameError
 from rrm.priors import language
-from rrm.priors.calling import evaluate_prior
 from rrm.registry import check_file, is_file_reference, lookup
 
 if TYPE_CHECKING:
     from rrm.priors.step import PriorStep
-
-__all__ = ["PRIORS", "check_prior", "evaluate_prior", "load_prior"]
 
 #: Priors by name; a user's own is named `path/to/file.py:function`.
 PRIORS: dict[str, str] = {
@@ -43,7 +40,7 @@ def load_prior(name: str) -> Callable[[PriorStep], float]:
         PriorError: what the file holds under that name cannot be called, or a frozen file's code is refused.
     """
     if language.is_frozen(name):
-        return language.load(name)
+        return language.load_frozen(name)
     prior: Any = lookup(PRIORS, "prior", name)
     if not callable(prior):
         raise PriorError(f"prior {name!r} is a {type(prior).__name__}; a prior is a function of one PriorStep")
@@ -61,7 +58,7 @@ def check_prior(name: str, task: Task) -> None:
         UnknownNameError, ConfigError, PriorError: with what is known, or what is missing and what would do.
     """
     if language.is_frozen(name):
-        language.check(name, task)
+        language.check_frozen(name, task)
         return
     if is_file_reference(name):
         check_file(name, "prior")

@@ -8,9 +8,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rrm.envs import make, task
-from rrm.envs.toy_car import ARENA, Course, ToyCarEnv, clearance, draw, drive, observe, true_reward
+from rrm.envs.toy_car import ARENA, Layout, ToyCarEnv, clearance, draw, drive, observe, true_reward
 
-LAYOUT = Course((2.0, 0.0), ((0.0, 0.0), (0.0, 1.0), (0.0, -1.0)))
+LAYOUT = Layout((2.0, 0.0), ((0.0, 0.0), (0.0, 1.0), (0.0, -1.0)))
 
 
 def test_free_driving():

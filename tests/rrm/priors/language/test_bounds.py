@@ -11,11 +11,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rrm.errors import PriorError, RefusedCodeError
-from rrm.priors import evaluate_prior
 from rrm.priors.language.guards import LARGEST, MOST_AXES, checked
-from rrm.priors.language.scope import MOST_WORK
-from rrm.priors.language.translate import admit
-from rrm.priors.language.vocabulary import FUNCTIONS as SIGNATURES
+from rrm.priors.language.translate import MOST_WORK, admit
+from rrm.priors.language.vocabulary import SIGNATURES
+from rrm.priors.step import evaluate_prior
 from tests.rrm.priors.language.steps import code, random_step
 
 _MEMORY = 64 << 20  # bytes; what two arrays give before anybody can see how large it is, and a little more
