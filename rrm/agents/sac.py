@@ -35,7 +35,7 @@ tanh_backward = torch.ops.aten.tanh_backward
 
 LOG_STD_MIN, LOG_STD_MAX = -5.0, 2.0
 _HALF_RANGE = 0.5 * (LOG_STD_MAX - LOG_STD_MIN)
-_FIGURES = ("critic_loss", "actor_loss", "entropy", "alpha")
+_FIGURES = ("critic_loss", "actor_loss", "entropy", "alpha")  #: entropy in nats
 
 
 def _log_std(squash: Tensor) -> Tensor:
@@ -107,12 +107,9 @@ class Sac:
     """An `rrm.interfaces.Agent`.
 
     Args:
-        config: sizes, step sizes, discount and target rate.
-        obs_dim, act_dim: features of an observation, dimensions of an action.
         streams: `init` draws weights, `agent` the noise of updates, `explore` the noise of actions taken, `lookahead`
             that of targets somebody else asks for.
         precision: of products between hidden layers (`rrm.nets.precision`).
-        device: where everything is computed.
     """
 
     def __init__(
@@ -153,11 +150,6 @@ class Sac:
 
     @torch.no_grad()
     def act(self, obs: Floats, *, explore: bool) -> Floats:
-        """Action float32 [A] in [-1, 1] for one observation float32 [O].
-
-        Raises:
-            NumericalError: the action is not finite, because the observation is not or because training diverged.
-        """
         row = torch.tensor(obs, dtype=torch.float32, device=self.actor.flat.device).unsqueeze(0)
         head = self.actor.forward(row, self._acting)[0]
         if explore:
@@ -175,7 +167,6 @@ class Sac:
 
     @torch.no_grad()
     def log_prob(self, obs: Tensor, act: Tensor) -> Tensor:
-        """Log density of any actions [B, A] under the policy as it is at obs [B, O]; float32 [B], nats, finite."""
         mean, raw = self.actor(obs)[0].chunk(2)
         log_std = _log_std(torch.tanh(raw))
         pre_tanh = torch.atanh(act.t().clamp(-_LARGEST, _LARGEST))
@@ -190,7 +181,9 @@ class Sac:
         sample, log_prob = self._sample(batch)
         critic_loss = self._update_critic(batch, log_prob, alpha)
         actor_loss, entropy = self._update_actor(sample, log_prob, alpha)
-        self._update_alpha(entropy, alpha)
+        # The loss of the temperature is alpha * (entropy - target), with target -A: its gradient in log alpha, too.
+        torch.mul(alpha, entropy + self.act_dim, out=self._log_alpha_grad)
+        self._alpha_adam.step()
         if self.updates % self.config.target_every == 0:
             self.target.flat.lerp_(self.critic.flat, self.config.tau)
         torch.stack((critic_loss, actor_loss, entropy, alpha.squeeze()), out=self._figures)
@@ -232,32 +225,18 @@ class Sac:
         entropy = -log_prob[space.rows].mean()
         return -alpha.squeeze() * entropy - torch.minimum(q[0], q[1]).mean(), entropy
 
-    def _update_alpha(self, entropy: Tensor, alpha: Tensor) -> None:
-        """The loss alpha * (entropy - target entropy), with target -A; its gradient in log alpha equals the loss."""
-        torch.mul(alpha, entropy + self.act_dim, out=self._log_alpha_grad)
-        self._alpha_adam.step()
-
     def reset_critic(self) -> None:
-        """Fresh critic, target and critic optimiser; actor and temperature stay (PEBBLE's first session)."""
         self.critic.initialise(self._init)
         self.target.flat.copy_(self.critic.flat)
         self._critic_adam.reset()
 
     def q_values(self, obs: Tensor, act: Tensor, params: Sequence[Tensor] | None = None) -> Tensor:
-        """What both critics say of obs [B, O] and act [B, A], float32 [2, B], differentiable.
-
-        Args:
-            obs, act: observations and actions.
-            params: in place of `critic.parameters()`, for learners that look one step of the critic ahead.
-        """
         return self.critic.plain(torch.cat((obs, act), dim=-1), params).squeeze(1)
 
     def critic_parameters(self) -> list[Tensor]:
-        """Leaves of autograd that share memory with both critics, in the order `q_values` takes them."""
         return self.critic.parameters()
 
     def q_target(self, batch: Batch) -> Tensor:
-        """What the critics are regressed on, float32 [B], differentiable in the batch's reward alone."""
         with torch.no_grad():
             noise = torch.randn(self.act_dim, len(batch.next_obs), generator=self._lookahead, device=self._noise.device)
             sample = _Sample(self.actor(batch.next_obs)[0], noise)
@@ -266,22 +245,15 @@ class Sac:
         return batch.reward + self.config.discount * batch.continues * value
 
     def figures(self) -> dict[str, float]:
-        """`critic_loss`, `actor_loss`, `entropy` (nats) and `alpha` of the last update; NaN before the first.
-
-        Raises:
-            NumericalError: one of them is not finite.
-        """
         figures = dict(zip(_FIGURES, self._figures.tolist(), strict=True))
         if self.updates and not all(map(math.isfinite, figures.values())):
             raise NumericalError(f"a figure of the agent is not finite: {figures}")
         return figures
 
     def weights(self) -> State:
-        """Of actor and critics."""
         return {"actor": self.actor.flat, "critic": self.critic.flat}
 
     def state_dict(self) -> State:
-        """Networks, optimisers, temperature, target, counter and the figures of the last update."""
         return {
             "updates": self.updates,
             "tensors": {name: tensor.clone() for name, tensor in self._tensors().items()},
@@ -289,11 +261,7 @@ class Sac:
         }
 
     def load_state_dict(self, state: State) -> None:
-        """Continue where `state_dict` was taken; the streams are restored by whoever owns them.
-
-        Raises:
-            CheckpointError: the state is of an agent with other sizes.
-        """
+        """Continue where `state_dict` was taken; the streams are restored by whoever owns them."""
         for name, tensor in self._tensors().items():
             saved = state["tensors"][name]
             if saved.shape != tensor.shape:
@@ -308,12 +276,9 @@ class Sac:
 
     def _tensors(self) -> dict[str, Tensor]:
         return {
-            "actor": self.actor.flat,
-            "critic": self.critic.flat,
-            "target": self.target.flat,
-            "log_alpha": self.log_alpha,
-            "figures": self._figures,
-        }
+            "actor": self.actor.flat, "critic": self.critic.flat, "target": self.target.flat,
+            "log_alpha": self.log_alpha, "figures": self._figures,
+        }  # fmt: skip
 
     def _optimisers(self) -> dict[str, FlatAdam]:
         return {"actor": self._actor_adam, "critic": self._critic_adam, "alpha": self._alpha_adam}

@@ -14,23 +14,52 @@ from torch.nn.functional import binary_cross_entropy_with_logits
 
 from rrm.config import ImitationConfig
 from rrm.errors import NumericalError
-from rrm.imitation.networks import RewardNet
 from rrm.nets.adam import FlatAdam
 from rrm.nets.mlp import StackedMLP
 from rrm.precision import Precision
 from rrm.types import Batch, State
 
 
-class Discriminator:
-    """Reward g and shaping h with one optimiser step for both.
+class RewardNet:
+    """g(s, a), which imitation leaves behind: an MLP with a linear head or a bounded one (appendix).
 
-    Args:
-        config: networks, step size, and what g is trained on (`pretrain`).
-        obs_dim, act_dim: of the task.
-        discount: gamma.
-        generator: where the weights are drawn from.
-        precision: of products between hidden layers.
+    Without a generator the weights are zero, to be loaded.
     """
+
+    def __init__(
+        self,
+        config: ImitationConfig,
+        obs_dim: int,
+        act_dim: int,
+        generator: torch.Generator | None,
+        precision: Precision = "float32",
+    ) -> None:
+        self.net = StackedMLP(
+            1, obs_dim + act_dim, config.hidden, config.layers, 1,
+            init="torch", generator=generator, precision=precision,
+        )  # fmt: skip
+        self._bounded = config.head == "tanh"
+
+    def __call__(self, inputs: Tensor) -> Tensor:
+        """Rewards [...] of states and actions side by side, [..., O + A]; differentiable in the weights."""
+        return self.headed(self.net(inputs.flatten(0, -2)).view(inputs.shape[:-1]))
+
+    def headed(self, raw: Tensor) -> Tensor:
+        """The head on the network's outputs."""
+        return torch.tanh(raw) if self._bounded else raw
+
+    def backward_head(self, grad: Tensor, headed: Tensor) -> Tensor:
+        """The gradient in the network's outputs, given that in the rewards."""
+        return grad * (1 - headed.square()) if self._bounded else grad
+
+    @torch.no_grad()
+    def predict(self, obs: Tensor, act: Tensor) -> Tensor:
+        """Rewards float32 [B] of obs [B, O] and act [B, A]."""
+        return self(torch.cat((obs, act), dim=-1))
+
+
+class Discriminator:
+    """Reward g and shaping h with one optimiser step for both; what g is trained on is `config.pretrain`."""
 
     def __init__(
         self,
@@ -61,7 +90,6 @@ class Discriminator:
         """One gradient step on as many expert transitions as policy transitions.
 
         Args:
-            expert, policy: [B] each.
             log_prob: of the expert's actions and then the policy's, under the policy as it is, nats [2 B].
 
         Returns:
@@ -72,9 +100,8 @@ class Discriminator:
         """
         both = Batch(*(torch.cat(pair) for pair in zip(expert, policy, strict=True)))
         is_expert = torch.zeros(len(both.obs)).index_fill_(0, torch.arange(len(expert.obs)), 1.0)
-        loss = self._step_airl(both, is_expert, log_prob) if self.config.pretrain == "airl" else (
-            self._step_mse(both, is_expert)
-        )  # fmt: skip
+        airl = self.config.pretrain == "airl"
+        loss = self._step_airl(both, is_expert, log_prob) if airl else self._step_mse(both, is_expert)
         if not torch.isfinite(loss):
             raise NumericalError(f"the loss of the discriminator is {float(loss)}")
         return float(self.g.net.flat_grad.norm())

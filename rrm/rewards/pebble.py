@@ -28,12 +28,8 @@ def told_right(logit: Tensor, target: Tensor) -> tuple[Tensor, Tensor]:
     return right.sum(), clear.sum()
 
 
-def checked(accuracy: float, loss: float, labels: int) -> dict[str, float]:
-    """What every fit returns.
-
-    Raises:
-        NumericalError: the loss is not finite.
-    """
+def learned(accuracy: float, loss: float, labels: int) -> dict[str, float]:
+    """What every fit returns, unless the loss is not finite."""
     if not np.isfinite(loss):
         raise NumericalError(f"the loss of the reward is {loss} after {labels} labels")
     return {"label_accuracy": accuracy, "reward_loss": loss}
@@ -66,7 +62,7 @@ class Pebble:
         while epochs < self.config.epochs and not accuracy > self.config.target_accuracy:
             accuracy, loss = self._epoch(feedback)
             epochs += 1
-        return {**checked(accuracy, loss, len(feedback)), "epochs": float(epochs)}
+        return {**learned(accuracy, loss, len(feedback)), "epochs": float(epochs)}
 
     def _epoch(self, feedback: Feedback) -> tuple[float, float]:
         members, count = self.config.members, len(feedback)
@@ -106,11 +102,9 @@ class Pebble:
         return (r_first, r_second), self.reward.penalty(rewards, both)
 
     def refine(self, batch: Batch, agent: CriticAgent, feedback: Feedback) -> bool:  # noqa: ARG002 (the seam of others)
-        """PEBBLE learns in sessions alone."""
-        return False
+        return False  # PEBBLE learns in sessions alone
 
     def metrics(self) -> dict[str, float]:
-        """Nothing that `fit` does not return."""
         return {}
 
     def state_dict(self) -> State:

@@ -7,9 +7,8 @@ import pytest
 import torch
 
 from rrm.config import RewardConfig, SurfConfig
-from rrm.rewards.ensemble import EnsembleReward
+from rrm.rewards.ensemble import EnsembleReward, ResidualReward
 from rrm.rewards.pebble import Pebble
-from rrm.rewards.residual import ResidualReward
 from rrm.rewards.surf import Surf
 from rrm.types import Segments
 
@@ -118,7 +117,7 @@ def test_one_step_by_hand(kind, monkeypatch):
     windows = {"labelled": draw(5), "unlabelled": draw(12)}
     order = iter(windows.values())
     monkeypatch.setattr(mine, "_windows", lambda *_: next(order))
-    in_order = lambda deck: torch.arange(deck._shape[1]).expand(3, -1)  # noqa: E731
+    in_order = lambda deck: torch.arange(deck._count).expand(3, -1)  # noqa: E731
     monkeypatch.setattr("rrm.rewards.surf._Deck.draw", lambda deck, _size: in_order(deck))
     metrics = mine.fit(answers)
     optimizer = torch.optim.Adam(fresh.reward.parameters(), lr=config.lr)
