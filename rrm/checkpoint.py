@@ -28,20 +28,25 @@ FORMAT = 3
 KEPT = 2  #: newest checkpoints that stay
 _TREE = "tree"  # entry of the header
 _LARGEST_MARKER = 1 << 16  # bytes
-#: What comes of a marker that says something else.
-_ODD = (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError)
+#: What comes of a marker or state that is not there or says something else.
+_ODD = (
+    UnfitFileError,
+    FileNotFoundError,
+    ValueError,
+    KeyError,
+    TypeError,
+    AttributeError,
+    OverflowError,
+    RecursionError,
+)
+Arrays = dict[str, np.ndarray[Any, Any]]
 _BLOCK = 1 << 22  # bytes of a log in memory while it is read back
 
 
 def encode(state: State) -> bytes:
-    """The state as one safetensors file.
-
-    Raises:
-        TypeError: a leaf is neither tensor, array nor JSON value.
-    """
-    arrays: dict[str, np.ndarray[Any, Any]] = {}
-    tree = _split(state, "state", arrays)
-    return tensors.encode(arrays, _TREE, tree)
+    """The state as one safetensors file; a leaf that is neither tensor, array nor JSON value is a `TypeError`."""
+    arrays: Arrays = {}
+    return tensors.encode(arrays, _TREE, _split(state, "state", arrays))
 
 
 def check_finite(state: State) -> None:
@@ -50,7 +55,7 @@ def check_finite(state: State) -> None:
     Raises:
         NumericalError: a tensor of floating-point numbers holds NaN or infinity; the message names it.
     """
-    arrays: dict[str, np.ndarray[Any, Any]] = {}
+    arrays: Arrays = {}
     _split(state, "state", arrays)
     for path, values in arrays.items():
         bad = values.size - np.isfinite(values).sum() if values.dtype.kind == "f" else 0
@@ -95,7 +100,7 @@ def again(path: Path) -> str:
     return f"bring it back, or remove {path.parent} and run the experiment again with --retry-failed"
 
 
-def _split(node: Any, path: str, arrays: dict[str, np.ndarray[Any, Any]]) -> Any:
+def _split(node: Any, path: str, arrays: Arrays) -> Any:
     if isinstance(node, dict):
         return {str(key): _split(value, f"{path}/{key}", arrays) for key, value in node.items()}
     if isinstance(node, list | tuple):
@@ -113,7 +118,7 @@ def _split(node: Any, path: str, arrays: dict[str, np.ndarray[Any, Any]]) -> Any
     raise TypeError(f"{path}: a state cannot hold a {type(node).__name__}")
 
 
-def _join(node: Any, arrays: dict[str, np.ndarray[Any, Any]]) -> Any:
+def _join(node: Any, arrays: Arrays) -> Any:
     if isinstance(node, list):
         return [_join(value, arrays) for value in node]
     if not isinstance(node, dict):
@@ -157,17 +162,17 @@ class AppendLog:
             CheckpointError: the file is missing, too short, or its checksum differs.
             OSError: it cannot be read now, which says nothing about what it holds.
         """
-        read, found = 0, 0
+        read = checksum = 0
         try:
             with self._path.open("rb") as file:
                 while block := file.read(min(size - read, _BLOCK // record * record)):
-                    read, found = read + len(block), zlib.crc32(block, found)
+                    read, checksum = read + len(block), zlib.crc32(block, checksum)
                     if len(block) % record:
                         break
                     yield block
         except FileNotFoundError as error:
             raise CheckpointError(f"{self._path}: {error.strerror}") from error
-        if read != size or found != crc:
+        if read != size or checksum != crc:
             raise CheckpointError(f"{self._path}: damaged (its first {size} bytes do not match their checksum)")
         self.size, self.crc = size, crc
 
@@ -183,8 +188,7 @@ class Checkpoints:
     def save(self, step: int, state: State) -> None:
         """Write the state of `step` and commit it; older ones than the newest two go.
 
-        Raises:
-            OSError: no space or permission; the checkpoints before stay as they are.
+        An `OSError` leaves the checkpoints before as they are.
         """
         data = encode(state)
         name = f"state-{step:012d}"
@@ -210,8 +214,10 @@ class Checkpoints:
             ConfigError: the checkpoint was written in another format.
             OSError: a file cannot be read now; nothing is set aside.
         """
-        self._remove_leftovers()
         self.skipped, markers = [], self._markers()
+        for path in (*self.folder.glob(".*.tmp"), *self.folder.glob("state-*.safetensors")):
+            if path.with_suffix(".json") not in markers:  # not written to its end, or its marker is set aside
+                path.unlink(missing_ok=True)
         self.newest = int(markers[0].stem.removeprefix("state-")) if markers else 0
         for marker in markers:
             try:
@@ -220,29 +226,19 @@ class Checkpoints:
                 return step
             except CheckpointError as error:
                 self.skipped.append(f"{marker.stem}: {error}")
-                self._set_aside(marker)
+                marker.replace(marker.with_name(f"damaged-{marker.name}"))
+                sync_folder(self.folder)
         return None
-
-    def _remove_leftovers(self) -> None:
-        """Remove files that were not written to their end, and states whose marker was not, or is set aside."""
-        markers = set(self._markers())
-        states = (path for path in self.folder.glob("state-*.safetensors") if path.with_suffix(".json") not in markers)
-        for path in (*self.folder.glob(".*.tmp"), *states):
-            path.unlink(missing_ok=True)
-
-    def _set_aside(self, marker: Path) -> None:
-        marker.replace(marker.with_name(f"damaged-{marker.name}"))
-        sync_folder(self.folder)
 
     def _markers(self) -> list[Path]:
         return sorted(self.folder.glob("state-*.json"), reverse=True)
 
     def _read(self, marker: Path) -> tuple[int, State]:
         try:
-            told = json.loads(read_bounded(marker, _LARGEST_MARKER))
-            seal = told.pop("checksum", None)
-            version, step, size, crc = (int(told[key]) for key in ("format", "step", "size", "crc32"))
-            if version != 1 and seal != _seal(told):  # the first format had none
+            entries = json.loads(read_bounded(marker, _LARGEST_MARKER))
+            seal = entries.pop("checksum", None)
+            version, step, size, crc = (int(entries[key]) for key in ("format", "step", "size", "crc32"))
+            if version != 1 and seal != _seal(entries):  # the first format had none
                 raise CheckpointError("damaged (its marker does not match its checksum)")
             data = read_bounded(marker.with_suffix(".safetensors"), size)
         except (FileNotFoundError, UnfitFileError, *_ODD) as error:

@@ -19,9 +19,6 @@ from rrm.files import place, read_bounded
 LANGUAGE = ".language.py"
 _MOST_CODE = 10_000_000  # bytes of a user's file
 
-#: With one of these at its top level a file may have names that reading it does not show.
-_OPEN = {"*", "__getattr__"}
-
 
 def is_file_reference(name: str) -> bool:
     """True for `path/to/file.py:attribute`, the form in which users name code of their own."""
@@ -53,12 +50,6 @@ def check_file(name: str, kind: str) -> None:
         ConfigError: there is no such file, it is not Python (with the line), or nothing at its top level has the name.
     """
     path, attribute = _located(name, kind)
-    names = _top_level(_parsed(path, name, kind))
-    if attribute not in names and not names & _OPEN:
-        raise ConfigError(f"{kind} {name!r}: {path} defines no {attribute!r}{nearest(attribute, names)}")
-
-
-def _parsed(path: Path, name: str, kind: str) -> ast.Module:
     try:
         with warnings.catch_warnings(action="ignore"):  # the run itself shows them, in its log
             tree = ast.parse(read_bounded(path, _MOST_CODE))
@@ -69,7 +60,9 @@ def _parsed(path: Path, name: str, kind: str) -> ast.Module:
         raise ConfigError(f"{kind} {name!r}: {path} is not Python: {error}") from None
     except OSError as error:
         raise ConfigError(f"cannot read {path} (named by {name!r}): {error.strerror}") from error
-    return tree
+    names = _top_level(tree)
+    if attribute not in names and not names & {"*", "__getattr__"}:  # with one of these, reading does not show all
+        raise ConfigError(f"{kind} {name!r}: {path} defines no {attribute!r}{nearest(attribute, names)}")
 
 
 def _top_level(tree: ast.Module) -> set[str]:
@@ -91,24 +84,15 @@ def _top_level(tree: ast.Module) -> set[str]:
 
 
 def source_digest(name: str) -> str | None:
-    """Sha-256 of the user's file behind `file.py:attribute`; None for a name of ours.
+    """`file_digest` of the user's file behind `file.py:attribute`; None for a name of ours.
 
     What that file imports from elsewhere is not part of it: a prior or learner is one self-contained file.
-
-    Raises:
-        ConfigError: the file cannot be read.
     """
-    if not is_file_reference(name):
-        return None
-    return file_digest(Path(name.rpartition(":")[0]), name)
+    return file_digest(Path(name.rpartition(":")[0]), name) if is_file_reference(name) else None
 
 
 def file_digest(path: Path, name: str) -> str:
-    """Sha-256 of a file of the user's; `name` is what they called it by.
-
-    Raises:
-        ConfigError: it cannot be read.
-    """
+    """Sha-256 of a file of the user's; `name` is what they called it by."""
     path = place(path)
     try:
         if path.exists() and not path.is_file():  # a device may have no end

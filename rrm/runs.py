@@ -80,12 +80,7 @@ def load(folder: str | Path) -> Finished:
 
 
 class Finished:
-    """What a finished run has learned.
-
-    Args:
-        config: of the run.
-        folder: that holds its networks; runs that it started from lie beside it.
-    """
+    """What a finished run has learned; the runs that it started from lie beside its folder."""
 
     def __init__(self, config: RunConfig, folder: Path) -> None:
         self.config = config
@@ -181,11 +176,9 @@ class _Listener:
         self.rows[row.step] = row
         self._on_row(row)
 
-    def beat(self, step: int, steps_per_s: float) -> None:
-        """Nobody watches."""
+    def beat(self, step: int, steps_per_s: float) -> None: ...
 
-    def note(self, message: str) -> None:
-        """Nobody reads."""
+    def note(self, message: str) -> None: ...
 
     def should_stop(self) -> bool:
         return False
@@ -196,8 +189,8 @@ class _Listener:
 
 def _read(path: Path) -> RunConfig:
     try:
-        told = json.loads(read_bounded(path, _LARGEST_CONFIG))
-        return RunConfig.model_validate({name: told[name] for name in RunConfig.model_fields if name in told})
+        stored = json.loads(read_bounded(path, _LARGEST_CONFIG))
+        return RunConfig.model_validate({name: stored[name] for name in RunConfig.model_fields if name in stored})
     except (OSError, ValueError, AttributeError, TypeError) as error:
         raise ConfigError(f"{path} is not the configuration of a run: {error}") from error
 

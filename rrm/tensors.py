@@ -21,12 +21,7 @@ _CHECKSUM = "$crc32"  #: key of the checksum in the object
 
 
 def encode(arrays: Arrays, entry: str, told: Mapping[str, Any]) -> bytes:
-    """The bytes of the file.
-
-    Args:
-        entry: name of the object in the header.
-        told: the object.
-    """
+    """The bytes of the file; `entry` is the name of the object `told` in its header."""
     sealed = {**told, _CHECKSUM: _checksum(arrays, told)}
     return safetensors.numpy.save(dict(arrays), {entry: json.dumps(sealed)})
 

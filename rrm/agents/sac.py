@@ -94,14 +94,6 @@ class _Workspace:
         self.actor = actor.tape(2 * batch)
         self.critic = critic.tape(batch)
 
-    def fill(self, batch: Batch) -> None:
-        """Take in a batch, all but the sampled actions."""
-        obs_dim = self.obs.shape[1]
-        self.following[:, :obs_dim].copy_(batch.next_obs)
-        self.imagined[:, :obs_dim].copy_(batch.obs)
-        self.taken[:, :obs_dim].copy_(batch.obs)
-        self.taken[:, obs_dim:].copy_(batch.act)
-
 
 class Sac:
     """An `rrm.interfaces.Agent`.
@@ -194,8 +186,11 @@ class Sac:
 
         One pass serves both: the actor changes only after either was used.
         """
-        space = self._space
-        space.fill(batch)
+        space, obs_dim = self._space, self.obs_dim
+        space.following[:, :obs_dim].copy_(batch.next_obs)
+        space.imagined[:, :obs_dim].copy_(batch.obs)
+        space.taken[:, :obs_dim].copy_(batch.obs)
+        space.taken[:, obs_dim:].copy_(batch.act)
         head = self.actor.forward(space.obs, space.actor)[0]
         sample = _Sample(head, space.noise.normal_(generator=self._noise))
         space.sampled.copy_(sample.act)

@@ -28,9 +28,7 @@ class TaskEnv(gymnasium.Env[Floats, Floats]):
     """An environment that satisfies `rrm.interfaces.Env`; episodes end at the horizon, by truncation, never earlier.
 
     Args:
-        low, high: bounds of the observation, broadcast to `obs_dim`.
-        obs_dim, act_dim: lengths of the observation and the action vector; actions lie in [-1, 1].
-        horizon: steps of an episode, at least 1.
+        low, high: bounds of the observation, broadcast to `obs_dim`; actions lie in [-1, 1].
         render_mode: one of the class' `metadata["render_modes"]`, or None.
     """
 
@@ -90,7 +88,13 @@ class TaskEnv(gymnasium.Env[Floats, Floats]):
         """
         if self._steps is None or self._steps >= self.horizon:
             raise ResetNeeded("the episode has not begun or is over; call reset() before step()")
-        obs, reward, info = self._advance(self._checked(action))
+        act = np.asarray(action, dtype=np.float64)
+        if act.shape != self.action_space.shape:
+            raise ValueError(f"an action has shape {self.action_space.shape}; this one has {act.shape}")
+        # A simulator might not refuse it: Meta-World's restarts its physics and goes on with a meaningless state.
+        if not np.isfinite(act).all():
+            raise NumericalError(f"action {act.tolist()} at step {self._steps} of the episode is not finite")
+        obs, reward, info = self._advance(np.minimum(np.maximum(act, -1.0), 1.0))
         self._steps += 1
         return np.array(obs, dtype=np.float32), float(reward), False, self._steps >= self.horizon, info
 
@@ -107,13 +111,3 @@ class TaskEnv(gymnasium.Env[Floats, Floats]):
         self._steps = state["steps"]
         # Last, because restoring a simulator may go through a reset that draws.
         self.np_random.bit_generator.state = state["rng"]
-
-    def _checked(self, action: Floats) -> Doubles:
-        act = np.asarray(action, dtype=np.float64)
-        if act.shape != self.action_space.shape:
-            raise ValueError(f"an action has shape {self.action_space.shape}; this one has {act.shape}")
-        # A simulator might not refuse it: Meta-World's restarts its physics and goes on with a meaningless state.
-        if not np.isfinite(act).all():
-            raise NumericalError(f"action {act.tolist()} at step {self._steps} of the episode is not finite")
-        inside: Doubles = np.minimum(np.maximum(act, -1.0), 1.0)
-        return inside

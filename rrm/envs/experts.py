@@ -30,9 +30,7 @@ def scripted_policy(name: str) -> Callable[[Floats], Floats]:
     policy: Any = ENV_POLICY_MAP[spec.kwargs["task"]]()  # type: ignore[abstract]  # each entry is a finished class
 
     def act(obs: Floats) -> Floats:
-        with warnings.catch_warnings(
-            action="ignore", category=UserWarning
-        ):  # that actions exceed 1, which is said here
+        with warnings.catch_warnings(action="ignore", category=UserWarning):  # that actions exceed 1, as is said here
             return np.asarray(policy.get_action(obs.astype(np.float64)), np.float32)
 
     return act

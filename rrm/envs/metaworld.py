@@ -32,11 +32,7 @@ class MetaWorldEnv(TaskEnv):
 
     Args:
         task: Meta-World's name, such as "button-press-v3".
-        horizon: steps of an episode, at most 500.
         render_mode: none is offered.
-
-    Raises:
-        UnknownNameError, ConfigError: no such task, or no such horizon.
     """
 
     def __init__(self, task: str, horizon: int = _LONGEST, render_mode: str | None = None) -> None:
@@ -50,15 +46,12 @@ class MetaWorldEnv(TaskEnv):
         self._vector = np.zeros(0)
 
     def _begin(self) -> Doubles:
-        return self._start(self._draw())
-
-    def _draw(self) -> Doubles:
         space = self.sim._random_reset_space
         while True:
             vector: Doubles = self.np_random.uniform(space.low, space.high)
             # Sweep-into repeats its draw until the puck is clear of the hole; with a frozen vector, forever.
             if self._task != "sweep-into-v3" or np.linalg.norm(vector[:2] - self.sim.goal[:2]) >= 0.15:
-                return vector
+                return self._start(vector)
 
     def _start(self, vector: Doubles) -> Doubles:
         self._vector = vector

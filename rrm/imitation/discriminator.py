@@ -100,44 +100,32 @@ class Discriminator:
         """
         both = Batch(*(torch.cat(pair) for pair in zip(expert, policy, strict=True)))
         is_expert = torch.zeros(len(both.obs)).index_fill_(0, torch.arange(len(expert.obs)), 1.0)
-        airl = self.config.pretrain == "airl"
-        loss = self._step_airl(both, is_expert, log_prob) if airl else self._step_mse(both, is_expert)
-        if not torch.isfinite(loss):
-            raise NumericalError(f"the loss of the discriminator is {float(loss)}")
-        return float(self.g.net.flat_grad.norm())
-
-    def _step_airl(self, both: Batch, is_expert: Tensor, log_prob: Tensor) -> Tensor:
-        g, h = self.g.net, self.h
-        tapes = g.take_tape(len(both.obs)), h.take_tape(2 * len(both.obs))
-        reward = self.g.headed(g.forward(torch.cat((both.obs, both.act), dim=1), tapes[0])[0, 0])
-        value, value_next = h.forward(torch.cat((both.obs, both.next_obs)), tapes[1])[0, 0].chunk(2)
-        bootstrap = self.discount * both.continues
-        logit = reward + bootstrap * value_next - value - log_prob
-        delta = (torch.sigmoid(logit) - is_expert) / len(logit)
-        g.backward_params(self.g.backward_head(delta, reward).view(1, 1, -1), tapes[0])
-        h.backward_params(torch.cat((-delta, bootstrap * delta)).view(1, 1, -1), tapes[1])
-        for adam, net, tape in zip(self._adams, (g, h), tapes, strict=True):
-            adam.step()
-            net.give_back(tape)
-        return binary_cross_entropy_with_logits(logit, is_expert)
-
-    def _step_mse(self, both: Batch, is_expert: Tensor) -> Tensor:
-        """G alone, pulled to 1 on expert transitions and to 0 on the policy's (the paper's figure on fine-tuning)."""
-        g = self.g.net
-        tape = g.take_tape(len(both.obs))
+        g, h, count = self.g.net, self.h, len(both.obs)
+        tape = g.take_tape(count)
         reward = self.g.headed(g.forward(torch.cat((both.obs, both.act), dim=1), tape)[0, 0])
-        error = reward - is_expert
-        g.backward_params(self.g.backward_head(error * (2 / len(error)), reward).view(1, 1, -1), tape)
+        if self.config.pretrain == "airl":
+            h_tape = h.take_tape(2 * count)
+            value, value_next = h.forward(torch.cat((both.obs, both.next_obs)), h_tape)[0, 0].chunk(2)
+            bootstrap = self.discount * both.continues
+            logit = reward + bootstrap * value_next - value - log_prob
+            delta = (torch.sigmoid(logit) - is_expert) / count
+            loss = binary_cross_entropy_with_logits(logit, is_expert)
+            h.backward_params(torch.cat((-delta, bootstrap * delta)).view(1, 1, -1), h_tape)
+            self._adams[1].step()
+            h.give_back(h_tape)
+        else:  # g alone, pulled to 1 on expert transitions and to 0 on the policy's (the paper's figure on fine-tuning)
+            error = reward - is_expert
+            delta, loss = error * (2 / count), error.square().mean()
+        g.backward_params(self.g.backward_head(delta, reward).view(1, 1, -1), tape)
         self._adams[0].step()
         g.give_back(tape)
-        return error.square().mean()
+        if not torch.isfinite(loss):
+            raise NumericalError(f"the loss of the discriminator is {float(loss)}")
+        return float(g.flat_grad.norm())
 
     def state_dict(self) -> State:
-        return {
-            "g": self.g.net.flat.clone(),
-            "h": self.h.flat.clone(),
-            "optimisers": [adam.state_dict() for adam in self._adams],
-        }
+        optimisers = [adam.state_dict() for adam in self._adams]
+        return {"g": self.g.net.flat.clone(), "h": self.h.flat.clone(), "optimisers": optimisers}
 
     def load_state_dict(self, state: State) -> None:
         self.g.net.flat.copy_(state["g"])

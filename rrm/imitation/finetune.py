@@ -16,6 +16,7 @@ from torch import Tensor
 
 from rrm.imitation.discriminator import RewardNet
 from rrm.parquet import write_table
+from rrm.rewards.ensemble import EnsembleReward
 from rrm.rewards.pebble import Pebble
 from rrm.types import Segments, State
 
@@ -55,11 +56,12 @@ class GradientLog:
         self._columns = {name: state[name].tolist() for name in self._TYPES}
 
 
-class ImitatedReward:
-    """g as an `rrm.interfaces.RewardFunction`: one member, no prior."""
+class ImitatedReward(EnsembleReward):
+    """g as an ensemble of one member, without a prior."""
 
     def __init__(self, g: RewardNet) -> None:
-        self._g = g
+        self._g, self._net = g, g.net
+        self._linear = True  # the head is g's own
 
     def members(self, segments: Segments) -> Tensor:
         rewards = self._g(torch.cat([segments.obs, segments.act], dim=-1))
@@ -67,18 +69,6 @@ class ImitatedReward:
 
     def predict(self, obs: Tensor, act: Tensor, prior: Tensor) -> Tensor:  # noqa: ARG002 (the seam of residuals)
         return self._g.predict(obs, act)
-
-    def parameters(self) -> list[Tensor]:
-        return self._g.net.parameters()
-
-    def penalty(self, rewards: Tensor, segments: Segments) -> Tensor:  # noqa: ARG002 (the seam of residuals)
-        return rewards.new_zeros(())
-
-    def state_dict(self) -> State:
-        return {"weights": self._g.net.flat.clone()}
-
-    def load_state_dict(self, state: State) -> None:
-        self._g.net.flat.copy_(state["weights"])
 
 
 class Finetune(Pebble):
