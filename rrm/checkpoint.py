@@ -28,17 +28,8 @@ FORMAT = 3
 KEPT = 2  #: newest checkpoints that stay
 _TREE = "tree"  # entry of the header
 _LARGEST_MARKER = 1 << 16  # bytes
-#: What comes of a marker or state that is not there or says something else.
-_ODD = (
-    UnfitFileError,
-    FileNotFoundError,
-    ValueError,
-    KeyError,
-    TypeError,
-    AttributeError,
-    OverflowError,
-    RecursionError,
-)
+#: What comes of a marker that says something else.
+_ODD = (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError)
 Arrays = dict[str, np.ndarray[Any, Any]]
 _BLOCK = 1 << 22  # bytes of a log in memory while it is read back
 

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import ast
 import hashlib
 import importlib
 import importlib.util
+import symtable
 import sys
 import warnings
 from collections.abc import Mapping
@@ -52,35 +52,18 @@ def check_file(name: str, kind: str) -> None:
     path, attribute = _located(name, kind)
     try:
         with warnings.catch_warnings(action="ignore"):  # the run itself shows them, in its log
-            tree = ast.parse(read_bounded(path, _MOST_CODE))
-            compile(tree, str(path), "exec", dont_inherit=True)  # finds what the grammar alone lets pass
+            source = read_bounded(path, _MOST_CODE)
+            code = compile(source, str(path), "exec", dont_inherit=True)
+            table = symtable.symtable(source, str(path), "exec")  # type: ignore[arg-type]  # bytes say their coding
     except SyntaxError as error:
         raise ConfigError(f"{kind} {name!r}: {path}, line {error.lineno}: {error.msg}") from None
     except (ValueError, RecursionError, MemoryError) as error:  # null bytes, nesting without end
         raise ConfigError(f"{kind} {name!r}: {path} is not Python: {error}") from None
     except OSError as error:
         raise ConfigError(f"cannot read {path} (named by {name!r}): {error.strerror}") from error
-    names = _top_level(tree)
-    if attribute not in names and not names & {"*", "__getattr__"}:  # with one of these, reading does not show all
+    names = {symbol.get_name() for symbol in table.get_symbols() if symbol.is_assigned() or symbol.is_imported()}
+    if attribute not in names and "__getattr__" not in names and ("*",) not in code.co_consts:
         raise ConfigError(f"{kind} {name!r}: {path} defines no {attribute!r}{nearest(attribute, names)}")
-
-
-def _top_level(tree: ast.Module) -> set[str]:
-    """Names that the file defines, assigns or imports outside functions and classes, also under `if` and `try`."""
-    names: set[str] = set()
-    nodes: list[ast.AST] = [tree]
-    while nodes:
-        node = nodes.pop()
-        match node:
-            case ast.FunctionDef() | ast.AsyncFunctionDef() | ast.ClassDef():
-                names.add(node.name)
-                continue
-            case ast.Name(ctx=ast.Store()):
-                names.add(node.id)
-            case ast.alias():
-                names.add((node.asname or node.name).partition(".")[0])
-        nodes.extend(ast.iter_child_nodes(node))
-    return names
 
 
 def source_digest(name: str) -> str | None:

@@ -133,10 +133,16 @@ class Sac:
         self.target.flat.copy_(self.critic.flat)
         self.log_alpha = torch.full((1,), math.log(config.initial_alpha), device=device)
         self._log_alpha_grad = torch.zeros_like(self.log_alpha)
-        self._actor_adam = FlatAdam(self.actor.flat, self.actor.flat_grad, config.actor_lr)
-        self._critic_adam = FlatAdam(self.critic.flat, self.critic.flat_grad, config.critic_lr)
-        self._alpha_adam = FlatAdam(self.log_alpha, self._log_alpha_grad, config.alpha_lr)
-        self._figures = torch.full((4,), math.nan, device=device)  #: in the order of _FIGURES
+        self._figures = torch.full((4,), math.nan, device=device)  # in the order of _FIGURES
+        self._adams = {
+            "actor": FlatAdam(self.actor.flat, self.actor.flat_grad, config.actor_lr),
+            "critic": FlatAdam(self.critic.flat, self.critic.flat_grad, config.critic_lr),
+            "alpha": FlatAdam(self.log_alpha, self._log_alpha_grad, config.alpha_lr),
+        }
+        self._tensors = {
+            "actor": self.actor.flat, "critic": self.critic.flat, "target": self.target.flat,
+            "log_alpha": self.log_alpha, "figures": self._figures,
+        }  # fmt: skip
         self._acting = self.actor.tape(1)
         self._space = _Workspace(self.actor, self.critic, config.batch)
 
@@ -175,7 +181,7 @@ class Sac:
         actor_loss, entropy = self._update_actor(sample, log_prob, alpha)
         # The loss of the temperature is alpha * (entropy - target), with target -A: its gradient in log alpha, too.
         torch.mul(alpha, entropy + self.act_dim, out=self._log_alpha_grad)
-        self._alpha_adam.step()
+        self._adams["alpha"].step()
         if self.updates % self.config.target_every == 0:
             self.target.flat.lerp_(self.critic.flat, self.config.tau)
         torch.stack((critic_loss, actor_loss, entropy, alpha.squeeze()), out=self._figures)
@@ -204,7 +210,7 @@ class Sac:
         q_target = batch.reward.addcmul(batch.continues, value, value=self.config.discount)
         error = self.critic.forward(space.taken, space.critic).squeeze(1) - q_target
         self.critic.backward_params((error * (2 / len(q_target))).unsqueeze(1), space.critic)
-        self._critic_adam.step()
+        self._adams["critic"].step()
         return error.square().sum() / len(q_target)
 
     def _update_actor(self, sample: _Sample, log_prob: Tensor, alpha: Tensor) -> tuple[Tensor, Tensor]:
@@ -216,14 +222,14 @@ class Sac:
         grad_act = self.critic.backward_inputs(grad_q, space.critic, slice(self.obs_dim, None))
         grad_head = sample.backward(grad_act.sum(dim=0), -share * alpha, space.rows)
         self.actor.backward_params(grad_head.unsqueeze(0), space.actor.second_half())
-        self._actor_adam.step()
+        self._adams["actor"].step()
         entropy = -log_prob[space.rows].mean()
         return -alpha.squeeze() * entropy - torch.minimum(q[0], q[1]).mean(), entropy
 
     def reset_critic(self) -> None:
         self.critic.initialise(self._init)
         self.target.flat.copy_(self.critic.flat)
-        self._critic_adam.reset()
+        self._adams["critic"].reset()
 
     def q_values(self, obs: Tensor, act: Tensor, params: Sequence[Tensor] | None = None) -> Tensor:
         return self.critic.plain(torch.cat((obs, act), dim=-1), params).squeeze(1)
@@ -251,13 +257,13 @@ class Sac:
     def state_dict(self) -> State:
         return {
             "updates": self.updates,
-            "tensors": {name: tensor.clone() for name, tensor in self._tensors().items()},
-            "optimisers": {name: adam.state_dict() for name, adam in self._optimisers().items()},
+            "tensors": {name: tensor.clone() for name, tensor in self._tensors.items()},
+            "optimisers": {name: adam.state_dict() for name, adam in self._adams.items()},
         }
 
     def load_state_dict(self, state: State) -> None:
         """Continue where `state_dict` was taken; the streams are restored by whoever owns them."""
-        for name, tensor in self._tensors().items():
+        for name, tensor in self._tensors.items():
             saved = state["tensors"][name]
             if saved.shape != tensor.shape:
                 raise CheckpointError(
@@ -265,15 +271,6 @@ class Sac:
                     "load it with the configuration and task it was trained with"
                 )
             tensor.copy_(saved)
-        for name, adam in self._optimisers().items():
+        for name, adam in self._adams.items():
             adam.load_state_dict(state["optimisers"][name])
         self.updates = state["updates"]
-
-    def _tensors(self) -> dict[str, Tensor]:
-        return {
-            "actor": self.actor.flat, "critic": self.critic.flat, "target": self.target.flat,
-            "log_alpha": self.log_alpha, "figures": self._figures,
-        }  # fmt: skip
-
-    def _optimisers(self) -> dict[str, FlatAdam]:
-        return {"actor": self._actor_adam, "critic": self._critic_adam, "alpha": self._alpha_adam}

@@ -11,6 +11,8 @@ library's too, as floats.
 
 from __future__ import annotations
 
+import warnings
+from collections.abc import Callable
 from typing import Any
 
 import metaworld.env_dict
@@ -19,8 +21,9 @@ import numpy as np
 from metaworld.sawyer_xyz_env import SawyerXYZEnv
 
 from rrm.envs.base import MUJOCO_BOUND, Doubles, TaskEnv
+from rrm.envs.tasks import task as task_of
 from rrm.errors import ConfigError, NumericalError, UnknownNameError
-from rrm.types import State
+from rrm.types import Floats, State
 
 #: Everything that integration depends on, the solver's warm start included.
 _SPEC = mujoco.mjtState.mjSTATE_INTEGRATION
@@ -46,12 +49,15 @@ class MetaWorldEnv(TaskEnv):
         self._vector = np.zeros(0)
 
     def _begin(self) -> Doubles:
+        return self._start(self._draw())
+
+    def _draw(self) -> Doubles:
         space = self.sim._random_reset_space
         while True:
             vector: Doubles = self.np_random.uniform(space.low, space.high)
             # Sweep-into repeats its draw until the puck is clear of the hole; with a frozen vector, forever.
             if self._task != "sweep-into-v3" or np.linalg.norm(vector[:2] - self.sim.goal[:2]) >= 0.15:
-                return self._start(vector)
+                return vector
 
     def _start(self, vector: Doubles) -> Doubles:
         self._vector = vector
@@ -104,3 +110,21 @@ def _simulator(task: str) -> Any:
     sim.__dict__.pop("sawyer_observation_space", None)
     sim._freeze_rand_vec = True
     return sim
+
+
+def scripted_policy(name: str) -> Callable[[Floats], Floats]:
+    """The policy that Meta-World ships for a task: from observation to action, both float32; actions may exceed 1."""
+    spec = task_of(name)
+    if spec.suite != "metaworld":
+        raise ConfigError(
+            f"{name} has no scripted policy: only Meta-World ships them, and this is of suite {spec.suite}"
+        )
+    from metaworld.policies import ENV_POLICY_MAP
+
+    policy: Any = ENV_POLICY_MAP[spec.kwargs["task"]]()  # type: ignore[abstract]  # each entry is a finished class
+
+    def act(obs: Floats) -> Floats:
+        with warnings.catch_warnings(action="ignore", category=UserWarning):  # that actions exceed 1, as is said here
+            return np.asarray(policy.get_action(obs.astype(np.float64)), np.float32)
+
+    return act

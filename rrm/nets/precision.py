@@ -14,8 +14,6 @@ import torch
 from rrm.errors import ConfigError
 
 if TYPE_CHECKING:
-    from types import TracebackType
-
     from rrm.precision import Precision
 
 _TORCH: dict[Precision, str] = {"float32": "highest", "bfloat16": "medium"}
@@ -34,9 +32,7 @@ class Multiplying:
         self._before = torch.get_float32_matmul_precision()
         torch.set_float32_matmul_precision(self._setting)
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         torch.set_float32_matmul_precision(self._before)
 
 

@@ -82,15 +82,15 @@ def add(
       rrmctl prior language add button-press answer-*.py --model GPT-5 --date 2025-10-01
     """
     from rrm.envs.tasks import task as task_of
-    from rrm.priors.language.candidates import Origin, freeze_best
+    from rrm.priors.language.candidates import freeze_best
     from rrm.priors.language.prompt import make_prompt
     from rrmctl.planning.experiments import OWN
 
     spec = task_of(task)
     text = make_prompt(spec, skeleton=True) if prompt_file is None else _read(prompt_file)
-    origin = Origin(model=model, date=f"{date:%Y-%m-%d}", prompt=text)
     manifests = experiments or OWN
-    target, record = freeze_best(spec, files, origin, into or manifests.absolute().parent / "priors")
+    folder = into or manifests.absolute().parent / "priors"
+    target, record = freeze_best(spec, files, folder, model=model, date=f"{date:%Y-%m-%d}", prompt=text)
     _show(record)
     name = os.path.relpath(target)
     option = shlex.join(["--prior", f"{name}:reward"])

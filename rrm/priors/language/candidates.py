@@ -11,9 +11,9 @@ from __future__ import annotations
 import time
 import warnings
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from hashlib import sha256
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -34,17 +34,7 @@ _HELD = 25  # steps for which an action of every other episode is held: single o
 _SECONDS = 60  # that a candidate may take for a walk; a single step always ends
 
 
-@dataclass(frozen=True)
-class Origin:
-    """What the user says of where the candidates come from."""
-
-    model: str
-    date: str
-    prompt: str  #: the text that was sent
-
-
-@dataclass(frozen=True)
-class Walk:
+class Walk(NamedTuple):
     """What was lived through on a walk at random: `N` episodes of `T` steps. The true reward is not kept."""
 
     obs: Floats  #: [N, T, O], before each step
@@ -52,8 +42,13 @@ class Walk:
     outcomes: Doubles  #: [N, T, K], in the order of `Task.outcomes`
 
 
-def freeze_best(task: Task, paths: Sequence[Path], origin: Origin, folder: Path) -> tuple[Path, Record]:
+def freeze_best(
+    task: Task, paths: Sequence[Path], folder: Path, *, model: str, date: str, prompt: str
+) -> tuple[Path, Record]:
     """Try candidates and freeze the best of them as `folder/TASK.language.py`.
+
+    Args:
+        model, date, prompt: where the candidates come from, as the user says; the prompt is the text that was sent.
 
     Raises:
         ConfigError: a file cannot be read, or there is a frozen prior already.
@@ -62,7 +57,7 @@ def freeze_best(task: Task, paths: Sequence[Path], origin: Origin, folder: Path)
     target = folder / f"{task.name}{LANGUAGE}"
     if target.exists():
         raise ConfigError(f"{target} is frozen; move it away, or name another folder")
-    for text in (origin.model, origin.date, *(path.name for path in paths)):
+    for text in (model, date, *(path.name for path in paths)):
         if not text.strip() or not text.isprintable():
             raise ConfigError(f"{text!r} cannot stand in a record; use printable text")
     if len({path.name for path in paths}) < len(paths):
@@ -73,7 +68,7 @@ def freeze_best(task: Task, paths: Sequence[Path], origin: Origin, folder: Path)
     if kept is None:
         raise PriorError("no candidate can be used:\n" + "\n".join(f"  {c.refused}" for c in candidates))
     record = Record(
-        task=task.name, model=origin.model, date=origin.date, prompt_sha256=sha256(origin.prompt.encode()).hexdigest(),
+        task=task.name, model=model, date=date, prompt_sha256=sha256(prompt.encode()).hexdigest(),
         kept=paths[kept].name, candidates=tuple(candidates),
     )  # fmt: skip
     content = freeze(record, codes[kept])

@@ -25,40 +25,29 @@ from rrm.priors.language.translate import is_text
 from rrm.priors.language.vocabulary import OUTCOMES, TASK_FEATURES
 from rrm.priors.step import PriorStep
 
-_METAWORLD = "Here is a Meta-World (built on MuJoCo) task: {}. The robot arm Sawyer is required to {}."
-_DMC = "Here is a DM-control (built on MuJoCo) task: {}. The robot {} is required to walk normally."
-
-#: Of each task the file with its environment's class, from the folder that its package is installed in, and the first
-#: line of the prompt; walker-walk's is the paper's, the others follow it.
-_TASKS = {
-    "button-press": (
-        "metaworld/envs/sawyer_button_press_v3.py",
-        _METAWORLD.format("Button Press", "press a button in front of it"),
-    ),
-    "door-open": (
-        "metaworld/envs/sawyer_door_v3.py",
-        _METAWORLD.format("Door Open", "open a door with a revolving joint by its handle"),
-    ),
-    "door-unlock": (
-        "metaworld/envs/sawyer_door_unlock_v3.py",
-        _METAWORLD.format("Door Unlock", "unlock a door by turning its lock"),
-    ),
-    "sweep-into": (
-        "metaworld/envs/sawyer_sweep_into_goal_v3.py",
-        _METAWORLD.format("Sweep Into", "sweep a puck on the table into a hole"),
-    ),
-    "window-open": (
-        "metaworld/envs/sawyer_window_open_v3.py",
-        _METAWORLD.format("Window Open", "push a sliding window open by its handle"),
-    ),
-    "walker-walk": ("dm_control/suite/walker.py", _DMC.format("Walker Walk", "Walker")),
-    "quadruped-walk": ("dm_control/suite/quadruped.py", _DMC.format("Quadruped Walk", "Quadruped")),
-    "toy-car": (
-        "rrm/envs/toy_car.py",
-        "Here is a two-dimensional task: Toy Car. The car is required to drive to a goal quickly, without coming too "
-        "close to the obstacles.",
-    ),
+#: Of Meta-World's tasks the file with the environment's class, and what the arm is to do.
+_METAWORLD = {
+    "button-press": ("sawyer_button_press_v3", "press a button in front of it"),
+    "door-open": ("sawyer_door_v3", "open a door with a revolving joint by its handle"),
+    "door-unlock": ("sawyer_door_unlock_v3", "unlock a door by turning its lock"),
+    "sweep-into": ("sawyer_sweep_into_goal_v3", "sweep a puck on the table into a hole"),
+    "window-open": ("sawyer_window_open_v3", "push a sliding window open by its handle"),
 }
+
+#: The file, from the folder that its package is installed in, and what the prompt's first line says of the task.
+#: Walker-walk's is the paper's, the others follow it.
+_TASKS = {
+    **{
+        name: (f"metaworld/envs/{file}.py", f"Meta-World (built on MuJoCo) task: {name.replace('-', ' ').title()}. "
+        f"The robot arm Sawyer is required to {goal}.") for name, (file, goal) in _METAWORLD.items()
+    },
+    **{
+        f"{robot.lower()}-walk": (f"dm_control/suite/{robot.lower()}.py", "DM-control (built on MuJoCo) task: "
+        f"{robot} Walk. The robot {robot} is required to walk normally.") for robot in ("Walker", "Quadruped")
+    },
+    "toy-car": ("rrm/envs/toy_car.py", "two-dimensional task: Toy Car. The car is required to drive to a goal quickly, "
+    "without coming too close to the obstacles."),
+}  # fmt: skip
 
 _INSTRUCTION = "Please design a reward for this task to enable the agent to achieve the goal."
 
@@ -94,7 +83,7 @@ def make_prompt(task: Task, *, skeleton: bool) -> str:
         ConfigError: there is none for the task, or its reward cannot be taken out of its source.
     """
     source = source_without_reward(task).rstrip("\n")
-    prompt = f"{_TASKS[task.name][1]} The environment code is:\n\n{source}\n\n{_INSTRUCTION}\n"
+    prompt = f"Here is a {_TASKS[task.name][1]} The environment code is:\n\n{source}\n\n{_INSTRUCTION}\n"
     if not skeleton:
         return prompt
     described = {name: f"    step.{name}: {getattr(PriorStep, name).__doc__}" for name in (*TASK_FEATURES, *OUTCOMES)}

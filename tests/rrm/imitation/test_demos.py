@@ -135,7 +135,7 @@ def test_collecting_can_be_stopped():
 @pytest.mark.sim
 def test_scripted_policies_solve_their_tasks():
     """Meta-World's own, through our environment; their actions are clipped into [-1, 1]."""
-    from rrm.envs.experts import scripted_policy
+    from rrm.envs.metaworld import scripted_policy
 
     played = demonstrate("button-press", scripted_policy("button-press"), 3, seed=0, source={})
     assert played.success == 1.0
@@ -144,7 +144,7 @@ def test_scripted_policies_solve_their_tasks():
 
 def test_scripted_policies_are_meta_worlds():
     """Elsewhere there are none."""
-    from rrm.envs.experts import scripted_policy
+    from rrm.envs.metaworld import scripted_policy
 
     with pytest.raises(ConfigError, match="toy-car has no scripted policy"):
         scripted_policy("toy-car")
