@@ -41,11 +41,7 @@ def encode(state: State) -> bytes:
 
 
 def check_finite(state: State) -> None:
-    """Refuse a state in which training has diverged: nothing good could come of going on with it.
-
-    Raises:
-        NumericalError: a tensor of floating-point numbers holds NaN or infinity; the message names it.
-    """
+    """Refuse a state in which training has diverged; a `NumericalError` names the tensor with NaN or infinity."""
     arrays: Arrays = {}
     _split(state, "state", arrays)
     for path, values in arrays.items():
@@ -55,28 +51,19 @@ def check_finite(state: State) -> None:
 
 
 def decode(data: bytes) -> State:
-    """The state that `encode` was given, tensors on the CPU.
-
-    Raises:
-        CheckpointError: the bytes are not such a file, or damaged.
-    """
+    """The state that `encode` was given, tensors on the CPU; a `CheckpointError` where the bytes are none."""
     try:
         arrays, tree = tensors.decode(data, _TREE)
-        joined: State = _join(tree, arrays)
+        return _join(tree, arrays)  # type: ignore[no-any-return]
     except (ValueError, KeyError) as error:
         raise CheckpointError(f"not a saved state: {error}") from error
-    return joined
 
 
 def read_networks(path: Path, what: str) -> State:
-    """The state that a finished run left in a file.
-
-    Args:
-        what: the file is to the reader, for messages.
+    """The state that a finished run left in a file; `what` that is to the reader, for messages.
 
     Raises:
         MissingResultError: there is none, or it is damaged; the message says how to make it again.
-        OSError: it cannot be read now, which says nothing about what it holds.
     """
     try:
         return decode(path.read_bytes())
@@ -143,15 +130,8 @@ class AppendLog:
     def restore(self, size: int, crc: int, record: int) -> Iterator[bytes]:
         """The first `size` bytes in blocks of whole records; later appends continue there.
 
-        Whether they are intact is known only behind the last block: what was made of them must be thrown away if this
-        raises.
-
-        Args:
-            record: bytes of a record, which no block cuts.
-
-        Raises:
-            CheckpointError: the file is missing, too short, or its checksum differs.
-            OSError: it cannot be read now, which says nothing about what it holds.
+        No block cuts a record of so many bytes. Whether they are intact is known only behind the last block: what was
+        made of them must be thrown away if this raises `CheckpointError`: the file is missing, too short or damaged.
         """
         read = checksum = 0
         try:
@@ -198,12 +178,8 @@ class Checkpoints:
         Damaged checkpoints are set aside as `damaged-...`, so that they cannot stand before the good ones that follow.
         What processes that died in the middle of a checkpoint left behind is removed: nobody else may be writing here.
 
-        Returns:
-            The step of that state; None when there is no usable checkpoint (see `skipped`).
-
-        Raises:
-            ConfigError: the checkpoint was written in another format.
-            OSError: a file cannot be read now; nothing is set aside.
+        Returns the step of that state; None when there is no usable checkpoint (see `skipped`). Nothing is set aside
+        where one was written in another format (`ConfigError`) or cannot be read now (`OSError`).
         """
         self.skipped, markers = [], self._markers()
         for path in (*self.folder.glob(".*.tmp"), *self.folder.glob("state-*.safetensors")):

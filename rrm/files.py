@@ -44,10 +44,8 @@ def place(path: str | Path) -> Path:
 def write_atomically(path: Path, data: bytes) -> None:
     """Replace `path` by `data`; after a crash it holds the old bytes or the new ones, never a mixture.
 
-    A file that holds these bytes already is left alone, and may be in a folder that takes no write.
-
-    Raises:
-        OSError: no space, no permission; the error names `path`, and the old file is untouched.
+    A file that holds these bytes already is left alone, and may be in a folder that takes no write. An `OSError` names
+    `path`, and leaves the old file untouched.
     """
     with contextlib.suppress(OSError):
         if path.stat().st_size == len(data) and path.read_bytes() == data:

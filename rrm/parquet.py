@@ -38,13 +38,8 @@ class Pages(NamedTuple):
 def write_table(path: Path, table: pa.Table, **settings: Any) -> None:
     """Replace `path` by the table, durably; who is reading it by its path meanwhile gets what it held, or the table.
 
-    A file that holds the same rows, columns and metadata already is left alone, whichever version wrote it.
-
-    Args:
-        settings: of `pyarrow.parquet.ParquetWriter`.
-
-    Raises:
-        OSError: no space, no permission; the error names `path`, and the old file is untouched.
+    A file that holds the same rows, columns and metadata already is left alone, whichever version wrote it. An
+    `OSError` names `path`, and leaves the old file untouched. Settings are those of `pyarrow.parquet.ParquetWriter`.
     """
     try:
         before = read_bounded(path, _LARGEST)

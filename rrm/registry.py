@@ -27,12 +27,7 @@ def is_file_reference(name: str) -> bool:
 
 
 def lookup(table: Mapping[str, str], kind: str, name: str) -> Any:
-    """The object that `name` stands for in `table`, or in a file of the user's when it reads `file.py:attribute`.
-
-    Raises:
-        UnknownNameError: no such name; the message lists what is known and the nearest match.
-        ConfigError: the user's file is missing, does not import, or lacks the attribute.
-    """
+    """The object that `name` stands for in `table`, or in a file of the user's when it reads `file.py:attribute`."""
     if is_file_reference(name):
         return _from_file(name, kind)
     if name not in table:
@@ -45,9 +40,6 @@ def check_file(name: str, kind: str) -> None:
     """Refuse a file of the user's that cannot hold what `file.py:attribute` names. The file is read, never run.
 
     What only running it shows (an import that fails, say) is refused by `lookup`, in the process that needs it.
-
-    Raises:
-        ConfigError: there is no such file, it is not Python (with the line), or nothing at its top level has the name.
     """
     path, attribute = _located(name, kind)
     try:

@@ -108,11 +108,7 @@ class Finished:
 
     @cached_property
     def reward(self) -> RewardFunction:
-        """The learned reward.
-
-        Raises:
-            ConfigError: the run learned none.
-        """
+        """The learned reward; a `ConfigError` where the run learned none."""
         if not self.config.reward.kind.learned:
             raise ConfigError(f"{self._folder} holds no learned reward: the method is {self.config.method}")
         reward = build_reward(self.config, Streams(self.config.seed))
@@ -130,13 +126,9 @@ class Finished:
 
 
 class LearnedReward(gymnasium.Wrapper[Floats, Floats, Floats, Floats]):
-    """An environment that pays what a run has learned, for anybody's training loop.
+    """An environment of the run's task that pays what the run has learned, for anybody's training loop.
 
     `info["true_reward"]` is the environment's own.
-
-    Args:
-        env: of the run's task.
-        run: one that learned a reward.
     """
 
     def __init__(self, env: Env, run: Finished) -> None:

@@ -27,11 +27,7 @@ def encode(arrays: Arrays, entry: str, told: Mapping[str, Any]) -> bytes:
 
 
 def decode(data: bytes, entry: str) -> tuple[dict[str, np.ndarray[Any, Any]], dict[str, Any]]:
-    """The tensors and the object that `encode` was given.
-
-    Raises:
-        ValueError: the bytes are no such file, or damaged.
-    """
+    """The tensors and the object that `encode` was given; a `ValueError` where the bytes are no such file."""
     try:
         arrays = safetensors.numpy.load(data)
         header = int.from_bytes(data[:8], "little")

@@ -81,10 +81,7 @@ class TaskEnv(gymnasium.Env[Floats, Floats]):
     def step(self, action: Floats) -> tuple[Floats, float, bool, bool, dict[str, Any]]:
         """One step; an action beyond [-1, 1] counts as the nearest one inside.
 
-        Raises:
-            NumericalError: the action holds a NaN or an infinity, or the simulation diverged.
-            ResetNeeded: there is no episode, or it is over.
-            ValueError: the action has another shape.
+        A `NumericalError` says that the action is not finite, or that the simulation diverged.
         """
         if self._steps is None or self._steps >= self.horizon:
             raise ResetNeeded("the episode has not begun or is over; call reset() before step()")

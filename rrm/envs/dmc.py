@@ -42,12 +42,7 @@ _OUTCOMES: dict[str, dict[str, Callable[[Any], float]]] = {
 
 
 class DmcEnv(TaskEnv):
-    """A task of the suite, with episodes of 1000 steps.
-
-    Args:
-        domain, task: the suite's names, such as "walker" and "walk".
-        render_mode: none is offered.
-    """
+    """A task of the suite by its names, such as "walker" and "walk"; episodes have 1000 steps at the most."""
 
     def __init__(self, domain: str, task: str, horizon: int = _LONGEST, render_mode: str | None = None) -> None:
         if (domain, task) not in suite.ALL_TASKS:

@@ -31,12 +31,7 @@ _LONGEST = int(SawyerXYZEnv.max_path_length)
 
 
 class MetaWorldEnv(TaskEnv):
-    """One of Meta-World's tasks: 39 numbers in, 4 out (hand velocity in x, y, z; gripper effort).
-
-    Args:
-        task: Meta-World's name, such as "button-press-v3".
-        render_mode: none is offered.
-    """
+    """A task by its name there, "button-press-v3": 39 numbers in, 4 out (hand velocity in x, y, z; gripper effort)."""
 
     def __init__(self, task: str, horizon: int = _LONGEST, render_mode: str | None = None) -> None:
         super().__init__(

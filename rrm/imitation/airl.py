@@ -63,11 +63,7 @@ class Airl:
         self._kept: State | None = None
 
     def train(self, draw: Draw, agent: StochasticAgent) -> None:
-        """One round of gradient steps against the policy as it is.
-
-        Raises:
-            NumericalError: the loss is not finite.
-        """
+        """One round of gradient steps against the policy as it is."""
         for _ in range(self.config.updates):
             rows = torch.randint(len(self._expert.obs), (self.config.minibatch,), generator=self._generator)
             expert = Batch(*(column[rows] for column in self._expert))
@@ -96,8 +92,7 @@ class Airl:
     def keep(self, step: int, success: float, true_return: float, newest: Batch) -> None:
         """Keep g as it is, unless an earlier evaluation was better; the return decides where success is NaN.
 
-        Args:
-            newest: transitions of the policy, on which the range of g is recorded, as on the demonstrations.
+        The range of g is recorded on the demonstrations and on the policy's `newest` transitions.
         """
         score = true_return if math.isnan(success) else success
         if self._kept is not None and self._kept["score"] > score:

@@ -9,7 +9,7 @@ limit does not end the bootstrap. The gradient is written out: its only path is 
 from __future__ import annotations
 
 import torch
-from torch import Tensor
+from torch import Generator, Tensor
 from torch.nn.functional import binary_cross_entropy_with_logits
 
 from rrm.config import ImitationConfig
@@ -31,7 +31,7 @@ class RewardNet:
         config: ImitationConfig,
         obs_dim: int,
         act_dim: int,
-        generator: torch.Generator | None,
+        generator: Generator | None,
         precision: Precision = "float32",
     ) -> None:
         self.net = StackedMLP(
@@ -68,7 +68,7 @@ class Discriminator:
         act_dim: int,
         discount: float,
         *,
-        generator: torch.Generator,
+        generator: Generator,
         precision: Precision = "float32",
     ) -> None:
         self.config = config
@@ -87,16 +87,10 @@ class Discriminator:
 
     @torch.no_grad()
     def step(self, expert: Batch, policy: Batch, log_prob: Tensor) -> float:
-        """One gradient step on as many expert transitions as policy transitions.
+        """One gradient step on as many expert transitions as policy transitions; returns the norm of g's gradient.
 
         Args:
             log_prob: of the expert's actions and then the policy's, under the policy as it is, nats [2 B].
-
-        Returns:
-            The Euclidean norm of the gradient in g's weights.
-
-        Raises:
-            NumericalError: the loss is not finite.
         """
         both = Batch(*(torch.cat(pair) for pair in zip(expert, policy, strict=True)))
         is_expert = torch.zeros(len(both.obs)).index_fill_(0, torch.arange(len(expert.obs)), 1.0)

@@ -154,9 +154,7 @@ class StackedMLP:
     def plain(self, x: Tensor, params: Sequence[Tensor] | None = None) -> Tensor:
         """The same outputs, differentiable in everything and any number of times, in float32.
 
-        Args:
-            x: float32 [B, in], the same for every member, or [N, B, in].
-            params: used in place of the stack's own, same order and shapes as `parameters()`.
+        `params` stand in for the stack's own, in the order and shapes of `parameters()`.
         """
         params = self._leaves if params is None else params
         h = x.expand(self.members, -1, -1)

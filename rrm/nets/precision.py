@@ -46,11 +46,7 @@ def rounds(precision: Precision) -> bool:
 
 
 def check_precision(precision: Precision) -> None:
-    """Refuse a precision that this machine would silently not use.
-
-    Raises:
-        ConfigError: bfloat16 was asked for, and torch multiplies in float32 here.
-    """
+    """Refuse a precision that this machine would silently not use: bfloat16, where torch multiplies in float32."""
     if precision == "bfloat16" and not rounds(precision):
         raise ConfigError(
             "precision: this processor has no bfloat16 products that torch would use (x86 needs AMX); "

@@ -33,12 +33,7 @@ PRIORS: dict[str, str] = {
 
 
 def load_prior(name: str) -> Callable[[PriorStep], float]:
-    """The prior of this name, or the function in a user's file.
-
-    Raises:
-        UnknownNameError, ConfigError: no such prior, file or function, or the file does not import.
-        PriorError: what the file holds under that name cannot be called, or a frozen file's code is refused.
-    """
+    """The prior of this name, or the function in a user's file; an `RrmError` where there is none that can run."""
     if language.is_frozen(name):
         return language.load_frozen(name)
     prior: Any = lookup(PRIORS, "prior", name)
@@ -53,9 +48,6 @@ def check_prior(name: str, task: Task) -> None:
 
     A file of the user's must hold the prior; it is not run here but at the start of the run, in the run's own process.
     A frozen language prior must be within its subset and be written for the task.
-
-    Raises:
-        UnknownNameError, ConfigError, PriorError: with what is known, or what is missing and what would do.
     """
     if language.is_frozen(name):
         language.check_frozen(name, task)

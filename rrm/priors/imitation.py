@@ -26,10 +26,6 @@ class ImitationPrior:
         path: the run's networks.
         task: it must have been trained on this one.
         squash: `tanh` bounds the prior to (-1, 1).
-
-    Raises:
-        MissingResultError: the file is missing or damaged, or no AIRL run wrote it.
-        PriorError: it was trained on another task.
     """
 
     needs: tuple[tuple[str, ...], ...] = ((),)  #: of the features of the task

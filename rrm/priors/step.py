@@ -33,11 +33,7 @@ _GUARDS = str(Path(__file__).with_name("language") / "guards.py")  # stand betwe
 
 @dataclass(frozen=True, slots=True)
 class Scene:
-    """One state of a task, seen through the features the task reveals.
-
-    Raises:
-        PriorError: from a feature that the task does not reveal.
-    """
+    """One state of a task, seen through the features the task reveals; others raise `PriorError`."""
 
     task: Task
     obs: Floats  #: float32 [O], as the agent sees it
@@ -120,10 +116,7 @@ class PriorStep(Scene):
 
 
 def evaluate_prior(prior: Callable[[PriorStep], float], step: PriorStep, where: str) -> float:
-    """The prior's value of this step.
-
-    Args:
-        where: which prior and which step, for the message, such as `prior "proxy" at step 17`.
+    """The prior's value of this step; `where` says which, for messages, such as `prior "proxy" at step 17`.
 
     Raises:
         PriorError: it raised (the cause is chained), or returned something other than one finite number.

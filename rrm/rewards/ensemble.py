@@ -14,7 +14,7 @@ tanh, as PEBBLE's does, and `bound` means nothing to it.
 from __future__ import annotations
 
 import torch
-from torch import Tensor
+from torch import Generator, Tensor
 
 from rrm.config import RewardConfig
 from rrm.nets.mlp import StackedMLP
@@ -28,12 +28,7 @@ class EnsembleReward:
     on_prior = False  #: whether the prior's value is an input, and part of the sum
 
     def __init__(
-        self,
-        config: RewardConfig,
-        obs_dim: int,
-        act_dim: int,
-        generator: torch.Generator,
-        precision: Precision = "float32",
+        self, config: RewardConfig, obs_dim: int, act_dim: int, generator: Generator, precision: Precision = "float32"
     ) -> None:
         self._config = config
         self._linear = self.on_prior and config.bound == "gaussian"  # nothing bounds what the networks say

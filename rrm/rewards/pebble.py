@@ -53,9 +53,6 @@ class Pebble:
         Returns:
             `label_accuracy` of the last epoch (each minibatch before its step, ties left out; NaN if all are ties),
             `reward_loss`, and `epochs` done.
-
-        Raises:
-            NumericalError: the loss is not finite.
         """
         epochs = 0
         accuracy = loss = float("nan")
@@ -72,7 +69,12 @@ class Pebble:
             self._optimizer.zero_grad(set_to_none=True)
             # The gradient of a minibatch is the sum over its parts, which fit into the caches.
             for part in torch.split(index, PAIRS_AT_ONCE, dim=1):
-                figures += self._accumulate(feedback, part, part.shape[1] / index.shape[1])
+                first, second, target = feedback.pairs(part)
+                rewards, penalty = self._rewards(first, second)
+                logit = preference_logit(*rewards)
+                loss = preference_loss(logit, target) + penalty
+                (loss * (part.shape[1] / index.shape[1])).backward()  # type: ignore[no-untyped-call]
+                figures += torch.stack((*told_right(logit.detach(), target), loss.detach() * part.shape[1]))
             self._step()
         right, decided, total = figures.tolist()
         return right / decided if decided else float("nan"), total / count
@@ -80,19 +82,6 @@ class Pebble:
     def _step(self) -> None:
         """Step along the gradient of the whole minibatch."""
         self._optimizer.step()
-
-    def _accumulate(self, feedback: Feedback, index: Tensor, share: float) -> Tensor:
-        """Add a part's gradient to that of its minibatch, of which it is this share.
-
-        Returns:
-            Pairs told right and pairs without a tie, over all members, and the summed loss.
-        """
-        first, second, target = feedback.pairs(index)
-        rewards, penalty = self._rewards(first, second)
-        logit = preference_logit(*rewards)
-        loss = preference_loss(logit, target) + penalty
-        (loss * share).backward()  # type: ignore[no-untyped-call]
-        return torch.stack((*told_right(logit.detach(), target), loss.detach() * index.shape[1]))
 
     def _rewards(self, first: Segments, second: Segments) -> tuple[tuple[Tensor, Tensor], Tensor]:
         """What every member says of each step of both segments, [N, B, T] each, and the penalty on it."""

@@ -79,8 +79,7 @@ def load_frozen(name: str) -> Callable[[PriorStep], float]:
     """The function in a frozen file, which sees nothing but `PriorStep` and the vocabulary.
 
     Raises:
-        RefusedCodeError: the code goes beyond the subset.
-        ConfigError: the file cannot be read, or holds no record.
+        RrmError: the code goes beyond the subset, or the file cannot be read or holds no record.
     """
     return _admitted(name)[0].function()
 
@@ -89,8 +88,7 @@ def check_frozen(name: str, task: Task) -> None:
     """Refuse, without running it, a frozen file that cannot be the prior of this task.
 
     Raises:
-        RefusedCodeError: the code goes beyond the subset.
-        ConfigError: it was written for another task, or reads what the task does not reveal.
+        RrmError: as `load_frozen`, or it was written for another task, or reads what the task does not reveal.
     """
     admitted, record = _admitted(name)
     if record.task != task.name:
@@ -126,11 +124,7 @@ def read_source(path: Path) -> bytes:
 
 
 def parse_record(source: bytes, path: Path) -> Record:
-    """The record at the top of a frozen file's content.
-
-    Raises:
-        ConfigError: it has none, or a damaged one.
-    """
+    """The record at the top of a frozen file's content; a `ConfigError` where there is none, or a damaged one."""
     lines = source.decode(errors="replace").split("\n")
     if _BEGIN not in lines or _END not in lines[lines.index(_BEGIN) :]:
         raise ConfigError(f"{path} has no record ({_BEGIN} ... {_END}); `rrmctl prior language add --help`")

@@ -120,8 +120,13 @@ class _Translator:
         body: list[ast.stmt] = []
         for node in tree.body:
             match node:
-                case ast.Import():
-                    self._import(node)
+                case ast.Import(names):
+                    for alias in names:
+                        if alias.name not in ("numpy", "math"):
+                            raise self._refused(node, "only numpy and math can be imported")
+                        name = alias.asname or alias.name
+                        self._bind(name, "module", node)
+                        self._modules[name] = alias.name
                 case ast.Assign(targets=[ast.Name()]):
                     body += self._block([node])
                 case ast.FunctionDef():
@@ -129,14 +134,6 @@ class _Translator:
                 case _ if not is_text(node):
                     raise self._refused(node, "outside functions stand imports, constants and functions")
         return ast.fix_missing_locations(ast.Module(body, []))
-
-    def _import(self, node: ast.Import) -> None:
-        for alias in node.names:
-            if alias.name not in ("numpy", "math"):
-                raise self._refused(node, "only numpy and math can be imported")
-            name = alias.asname or alias.name
-            self._bind(name, "module", node)
-            self._modules[name] = alias.name
 
     def _function(self, node: ast.FunctionDef) -> ast.FunctionDef:
         given = node.args
