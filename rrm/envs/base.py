@@ -47,8 +47,8 @@ class TaskEnv(gymnasium.Env[Floats, Floats]):
         if horizon < 1:
             raise ConfigError(f"horizon is {horizon}; an episode has at least one step")
         if render_mode is not None and render_mode not in self.metadata["render_modes"]:
-            known = ", ".join(self.metadata["render_modes"]) or "none"
-            raise ConfigError(f'render_mode "{render_mode}" is not one of {type(self).__name__}; it has: {known}')
+            modes = ", ".join(self.metadata["render_modes"]) or "none"
+            raise ConfigError(f'render_mode "{render_mode}" is not one of {type(self).__name__}; it has: {modes}')
         lowest, highest = (np.broadcast_to(np.asarray(bound, np.float32), obs_dim) for bound in (low, high))
         self.observation_space: Box[np.float32] = Box(lowest, highest, dtype=np.float32)
         self.action_space: Box[np.float32] = Box(-1.0, 1.0, (act_dim,), dtype=np.float32)

@@ -61,7 +61,7 @@ def check_prior(name: str, task: Task) -> None:
         raise UnknownNameError("prior", name, PRIORS)
     refusal = _refusal(name, task)
     if refusal:
-        suited = ", ".join(known for known in sorted(PRIORS) if not _refusal(known, task))
+        suited = ", ".join(prior for prior in sorted(PRIORS) if not _refusal(prior, task))
         raise ConfigError(f'prior "{name}" {refusal}. Priors for {task.name}: {suited}')
 
 

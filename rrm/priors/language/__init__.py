@@ -150,5 +150,5 @@ def freeze(record: Record, code: bytes) -> bytes:
 
 def _toml(fields: Mapping[str, Any]) -> list[str]:
     """JSON's strings and numbers are TOML's, surrogates aside."""
-    told = {name: json.dumps(value, ensure_ascii=False) for name, value in fields.items() if value is not None}
-    return [f"# {name} = {text}" for name, text in told.items()]
+    texts = {name: json.dumps(value, ensure_ascii=False) for name, value in fields.items() if value is not None}
+    return [f"# {name} = {text}" for name, text in texts.items()]

@@ -130,11 +130,7 @@ def walk(task: Task) -> Walk:
 def values(
     prior: Callable[[PriorStep], float], task: Task, lived: Walk, name: str, seconds: float = _SECONDS
 ) -> Doubles:
-    """The prior's value of every step, as a run would show it, float64 [N, T].
-
-    Raises:
-        PriorError: it fails, or is too slow to train with.
-    """
+    """The prior's value of every step, as a run would show it, float64 [N, T]; a `PriorError` where it is too slow."""
     rng = np.random.default_rng(0)  # part of a step, and out of the code's reach
     result = np.empty(lived.outcomes.shape[:2])
     end = time.monotonic() + seconds
@@ -158,11 +154,7 @@ def segment_sums(values: Doubles) -> Doubles:
 
 
 def agreement(first: Doubles, second: Doubles) -> float:
-    """Share of pairs of segments that both order alike, in [0, 1]; a pair that one of them calls equal counts half.
-
-    Args:
-        first, second: sums over the same segments, [S].
-    """
+    """Share of pairs of segments that two [S] of sums order alike, in [0, 1]; where one calls them equal, a half."""
     pairs = np.triu_indices(len(first), k=1)
     orders = [np.sign(sums[pairs[0]] - sums[pairs[1]]) for sums in (first, second)]
     return float((1 + orders[0] * orders[1]).mean() / 2)

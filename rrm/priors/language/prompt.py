@@ -80,7 +80,7 @@ def make_prompt(task: Task, *, skeleton: bool) -> str:
     """The prompt for this task, with the skeleton of an answer at its end or without.
 
     Raises:
-        ConfigError: there is none for the task, or its reward cannot be taken out of its source.
+        ConfigError: there is none for the task, its package is missing, or its reward cannot be taken out.
     """
     source = source_without_reward(task).rstrip("\n")
     prompt = f"Here is a {_TASKS[task.name][1]} The environment code is:\n\n{source}\n\n{_INSTRUCTION}\n"
@@ -97,11 +97,7 @@ def make_prompt(task: Task, *, skeleton: bool) -> str:
 
 
 def source_without_reward(task: Task) -> str:
-    """The task's source file without its reward.
-
-    Raises:
-        ConfigError: the task has no prompt, its package is not installed, or a mention of a reward is left over.
-    """
+    """The task's source file without its reward."""
     if task.name not in _TASKS:
         raise ConfigError(f"there is no prompt for {task.name}; there is one for: {', '.join(_TASKS)}")
     package, _, inside = _TASKS[task.name][0].partition("/")
@@ -116,11 +112,7 @@ def source_without_reward(task: Task) -> str:
 
 
 def without_reward(source: str, where: str) -> str:
-    """Python code without the parts that compute a reward or mention one.
-
-    Raises:
-        ConfigError: something is left that mentions one, or what is left is not Python.
-    """
+    """Python code without the parts that compute a reward or mention one; a `ConfigError` where that fails."""
     data, kept, at = source.encode(), [], 0
     for begin, end in sorted(_spans(source, data)):
         if begin >= at:  # else inside a span that is gone
@@ -132,9 +124,8 @@ def without_reward(source: str, where: str) -> str:
     try:
         ast.parse(text)
     except SyntaxError as error:
-        raise ConfigError(
-            f"{where}: its reward cannot be taken out cleanly (line {error.lineno}: {error.msg})"
-        ) from None
+        why = f"line {error.lineno}: {error.msg}"
+        raise ConfigError(f"{where}: its reward cannot be taken out cleanly ({why})") from None
     if _WORD in text.lower():
         line = next(line for line in text.splitlines() if _WORD in line.lower())
         raise ConfigError(f"{where}: its reward cannot be taken out; this is left: {line.strip()}")

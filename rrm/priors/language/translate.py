@@ -46,11 +46,7 @@ class Admitted:
     where: str  #: file, for messages
 
     def function(self) -> Callable[[Any], float]:
-        """The prior, ready to be called with a `PriorStep`.
-
-        Raises:
-            RefusedCodeError: one of its constants cannot be computed; names the line.
-        """
+        """The prior, ready to be called with a `PriorStep`; refused where one of its constants cannot be computed."""
         from rrm.priors.language.guards import namespace  # numpy, which planning does without
 
         room = namespace()
@@ -68,7 +64,7 @@ def admit(source: bytes, where: str) -> Admitted:
     """Check the code of a whole file, without running it.
 
     Raises:
-        RefusedCodeError: names the file `where` it is, the line, and the construct that the subset does not have.
+        RefusedCodeError: names the file (`where`), the line, and the construct that the subset does not have.
     """
     try:
         with warnings.catch_warnings(action="ignore"):  # of the parser, about texts that are dropped
