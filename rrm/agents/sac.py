@@ -175,8 +175,15 @@ class Sac:
         """One step of critic, actor and temperature; the target follows every second time, the first included."""
         if len(self._space.taken) != len(batch.reward):
             self._space = _Workspace(self.actor, self.critic, len(batch.reward))
-        alpha = self.log_alpha.exp()
-        sample, log_prob = self._sample(batch)
+        alpha, space, obs_dim = self.log_alpha.exp(), self._space, self.obs_dim
+        space.following[:, :obs_dim].copy_(batch.next_obs)
+        space.imagined[:, :obs_dim].copy_(batch.obs)
+        space.taken[:, :obs_dim].copy_(batch.obs)
+        space.taken[:, obs_dim:].copy_(batch.act)
+        # One pass samples for the next observations and the present ones: the actor changes only after either was used.
+        sample = _Sample(self.actor.forward(space.obs, space.actor)[0], space.noise.normal_(generator=self._noise))
+        space.sampled.copy_(sample.act)
+        log_prob = sample.log_prob()
         critic_loss = self._update_critic(batch, log_prob, alpha)
         actor_loss, entropy = self._update_actor(sample, log_prob, alpha)
         # The loss of the temperature is alpha * (entropy - target), with target -A: its gradient in log alpha, too.
@@ -186,21 +193,6 @@ class Sac:
             self.target.flat.lerp_(self.critic.flat, self.config.tau)
         torch.stack((critic_loss, actor_loss, entropy, alpha.squeeze()), out=self._figures)
         self.updates += 1
-
-    def _sample(self, batch: Batch) -> tuple[_Sample, Tensor]:
-        """Actions for the next observations and the present ones, with their log densities, both in this order.
-
-        One pass serves both: the actor changes only after either was used.
-        """
-        space, obs_dim = self._space, self.obs_dim
-        space.following[:, :obs_dim].copy_(batch.next_obs)
-        space.imagined[:, :obs_dim].copy_(batch.obs)
-        space.taken[:, :obs_dim].copy_(batch.obs)
-        space.taken[:, obs_dim:].copy_(batch.act)
-        head = self.actor.forward(space.obs, space.actor)[0]
-        sample = _Sample(head, space.noise.normal_(generator=self._noise))
-        space.sampled.copy_(sample.act)
-        return sample, sample.log_prob()
 
     def _update_critic(self, batch: Batch, log_prob: Tensor, alpha: Tensor) -> Tensor:
         """Regress both critics on the soft value of the next state; returns the sum of their mean squared errors."""
