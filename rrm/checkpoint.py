@@ -30,19 +30,19 @@ _TREE = "tree"  # entry of the header
 _LARGEST_MARKER = 1 << 16  # bytes
 #: What comes of a marker that says something else.
 _ODD = (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError)
-Arrays = dict[str, np.ndarray[Any, Any]]
+_Arrays = dict[str, np.ndarray[Any, Any]]
 _BLOCK = 1 << 22  # bytes of a log in memory while it is read back
 
 
 def encode(state: State) -> bytes:
     """The state as one safetensors file; a leaf that is neither tensor, array nor JSON value is a `TypeError`."""
-    arrays: Arrays = {}
-    return tensors.encode(arrays, _TREE, _split(state, "state", arrays))
+    arrays: _Arrays = {}
+    return tensors.pack(arrays, _TREE, _split(state, "state", arrays))
 
 
 def check_finite(state: State) -> None:
     """Refuse a state in which training has diverged; a `NumericalError` names the tensor with NaN or infinity."""
-    arrays: Arrays = {}
+    arrays: _Arrays = {}
     _split(state, "state", arrays)
     for path, values in arrays.items():
         bad = values.size - np.isfinite(values).sum() if values.dtype.kind == "f" else 0
@@ -53,7 +53,7 @@ def check_finite(state: State) -> None:
 def decode(data: bytes) -> State:
     """The state that `encode` was given, tensors on the CPU; a `CheckpointError` where the bytes are none."""
     try:
-        arrays, tree = tensors.decode(data, _TREE)
+        arrays, tree = tensors.unpack(data, _TREE)
         return _join(tree, arrays)  # type: ignore[no-any-return]
     except (ValueError, KeyError) as error:
         raise CheckpointError(f"not a saved state: {error}") from error
@@ -78,7 +78,7 @@ def again(path: Path) -> str:
     return f"bring it back, or remove {path.parent} and run the experiment again with --retry-failed"
 
 
-def _split(node: Any, path: str, arrays: Arrays) -> Any:
+def _split(node: Any, path: str, arrays: _Arrays) -> Any:
     if isinstance(node, dict):
         return {str(key): _split(value, f"{path}/{key}", arrays) for key, value in node.items()}
     if isinstance(node, list | tuple):
@@ -96,7 +96,7 @@ def _split(node: Any, path: str, arrays: Arrays) -> Any:
     raise TypeError(f"{path}: a state cannot hold a {type(node).__name__}")
 
 
-def _join(node: Any, arrays: Arrays) -> Any:
+def _join(node: Any, arrays: _Arrays) -> Any:
     if isinstance(node, list):
         return [_join(value, arrays) for value in node]
     if not isinstance(node, dict):

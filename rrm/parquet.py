@@ -46,7 +46,7 @@ def write_table(path: Path, table: pa.Table, **settings: Any) -> None:
     except (FileNotFoundError, UnfitFileError):
         before = b""
     if not _holds(before, table):
-        write_atomically(path, encode(table, before, **settings))
+        write_atomically(path, table_bytes(table, before, **settings))
 
 
 def _holds(file: bytes, table: pa.Table) -> bool:
@@ -62,20 +62,20 @@ def _holds(file: bytes, table: pa.Table) -> bool:
     except (pa.ArrowException, OSError, ValueError):
         return False
     metadata = {key: value for key, value in (rows.schema.metadata or {}).items() if key != _KEY}
-    return encode(rows.replace_schema_metadata(metadata or None)) == encode(table)
+    return table_bytes(rows.replace_schema_metadata(metadata or None)) == table_bytes(table)
 
 
-def encode(table: pa.Table, before: bytes = b"", **settings: Any) -> bytes:
+def table_bytes(table: pa.Table, before: bytes = b"", **settings: Any) -> bytes:
     """The table as a parquet file, in place of the file `before`, whose readers are not disturbed if it is whole."""
     kept = _kept(before)
     start = len(_MAGIC)
-    pages, footer = _encode_at(start, table, kept, settings)
+    pages, footer = _encoded_at(start, table, kept, settings)
     for place in kept:  # to the first gap that is large enough, or behind the last
         if start + len(pages) <= place.start:
             break
         start = max(start, place.end)
     if start != len(_MAGIC):
-        pages, footer = _encode_at(start, table, kept, settings)
+        pages, footer = _encoded_at(start, table, kept, settings)
     data = bytearray(max([start + len(pages), *(place.end for place in kept)]))
     for place in kept:
         data[place.start : place.end] = before[place.start : place.end]
@@ -99,7 +99,7 @@ def _kept(before: bytes) -> list[Pages]:
     return sorted(place for place in young if 0 <= place.start <= place.end <= len(before))
 
 
-def _encode_at(start: int, table: pa.Table, kept: list[Pages], settings: dict[str, Any]) -> tuple[bytes, bytes]:
+def _encoded_at(start: int, table: pa.Table, kept: list[Pages], settings: dict[str, Any]) -> tuple[bytes, bytes]:
     """Pages that will lie at `start`, and the footer that finds them there."""
     import pyarrow as pa
     import pyarrow.parquet as pq

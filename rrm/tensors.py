@@ -20,14 +20,14 @@ Arrays = Mapping[str, np.ndarray[Any, Any]]
 _CHECKSUM = "$crc32"  #: key of the checksum in the object
 
 
-def encode(arrays: Arrays, entry: str, content: Mapping[str, Any]) -> bytes:
+def pack(arrays: Arrays, entry: str, content: Mapping[str, Any]) -> bytes:
     """The bytes of the file; `entry` is the name of the object `content` in its header."""
     sealed = {**content, _CHECKSUM: _checksum(arrays, content)}
     return safetensors.numpy.save(dict(arrays), {entry: json.dumps(sealed)})
 
 
-def decode(data: bytes, entry: str) -> tuple[dict[str, np.ndarray[Any, Any]], dict[str, Any]]:
-    """The tensors and the object that `encode` was given; a `ValueError` where the bytes are no such file."""
+def unpack(data: bytes, entry: str) -> tuple[dict[str, np.ndarray[Any, Any]], dict[str, Any]]:
+    """The tensors and the object that `pack` was given; a `ValueError` where the bytes are no such file."""
     try:
         arrays = safetensors.numpy.load(data)
         header = int.from_bytes(data[:8], "little")

@@ -60,7 +60,7 @@ class Demonstrations:
         """Write the file, whole or not at all. Raises OSError where there is no room or permission."""
         header = {"format": FORMAT, "provenance": dict(self.provenance)}
         arrays = {name: np.ascontiguousarray(getattr(self, name)) for name in _KINDS}
-        write_atomically(place(path), tensors.encode(arrays, _ENTRY, header))
+        write_atomically(place(path), tensors.pack(arrays, _ENTRY, header))
 
     @classmethod
     def load(cls, path: str | Path) -> Self:
@@ -70,7 +70,7 @@ class Demonstrations:
             DemosError: there is none, it is not one of demonstrations, damaged, or its tensors do not fit together.
         """
         try:
-            arrays, header = tensors.decode(read_bounded(place(path), _LARGEST), _ENTRY)
+            arrays, header = tensors.unpack(read_bounded(place(path), _LARGEST), _ENTRY)
         except (FileNotFoundError, NotADirectoryError, UnfitFileError, ValueError) as error:
             raise DemosError(f"{path} cannot be read as demonstrations: {error}") from error
         provenance = header.get("provenance")

@@ -9,6 +9,7 @@ cumulative sums, ties are left out of the accuracy, and the accuracy is that of 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 
 import numpy as np
 import numpy.typing as npt
@@ -36,21 +37,21 @@ class Surf(Pebble):
         `label_accuracy` and `reward_loss` are those of the last pass over the labels.
         """
         config, count = self.config, len(feedback)
-        labelled = _Deck(self._rng, config.members, count)
-        unlabelled = _Deck(self._rng, config.members, feedback.unlabelled)
+        labelled = _minibatches(self._rng, config.members, count, config.minibatch)
+        unlabelled = _minibatches(self._rng, config.members, feedback.unlabelled, config.minibatch * config.surf.ratio)
         steps, a_pass = (math.ceil(epochs * count / config.minibatch) for epochs in (config.epochs, 1))
-        figures, asked = torch.zeros(4), 0
+        figures, pseudo = torch.zeros(4), 0
         for step in range(steps):
             if step == steps - a_pass:
-                figures, asked = torch.zeros(4), 0
+                figures, pseudo = torch.zeros(4), 0
             self._optimizer.zero_grad(set_to_none=True)
-            figures[:3] += self._labelled(feedback, labelled.draw(config.minibatch))
-            index = unlabelled.draw(config.minibatch * config.surf.ratio)
+            figures[:3] += self._labelled(feedback, next(labelled))
+            index = next(unlabelled)
             figures[2:] += self._unlabelled(feedback, index)
-            asked += index.numel()
+            pseudo += index.numel()
             self._optimizer.step()
         right, decided, loss, sure = figures.tolist()
-        self._sure = sure / asked
+        self._sure = sure / pseudo
         return learned(right / decided if decided else float("nan"), loss / a_pass, count)
 
     def _labelled(self, feedback: Feedback, index: Tensor) -> Tensor:
@@ -108,22 +109,15 @@ class Surf(Pebble):
         self._sure = float(state["sure"])
 
 
-class _Deck:
-    """Minibatches of positions, drawn by every member in an order of its own; shuffled anew when all are drawn."""
+def _minibatches(rng: np.random.Generator, members: int, count: int, size: int) -> Iterator[Tensor]:
+    """Positions, int64 [N, <= size], every member's in an order of its own; shuffled anew when all are drawn."""
 
-    def __init__(self, rng: np.random.Generator, members: int, count: int) -> None:
-        self._rng = rng
-        self._members, self._count = members, count
-        self._shuffle()
+    def shuffled() -> Tensor:
+        return torch.from_numpy(np.stack([rng.permutation(count) for _ in range(members)]))
 
-    def _shuffle(self) -> None:
-        self._order = torch.from_numpy(np.stack([self._rng.permutation(self._count) for _ in range(self._members)]))
-        self._drawn = 0
+    def rounds(order: Tensor) -> Iterator[Tensor]:
+        while True:
+            yield from torch.split(order, size, dim=1)
+            order = shuffled()
 
-    def draw(self, size: int) -> Tensor:
-        """The next `size` positions, or what is left of this round: int64 [N, <= size]."""
-        if self._drawn >= self._count:
-            self._shuffle()
-        part = self._order[:, self._drawn : self._drawn + size]
-        self._drawn += size
-        return part
+    return rounds(shuffled())  # the first order is drawn now

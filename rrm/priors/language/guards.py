@@ -1,7 +1,7 @@
 """What the words of a language prior do when its code runs.
 
-All that these functions are given has passed `checked`, and so does all that they give: numbers and small arrays of
-numbers, never Python integers without limit, objects or texts. They change nothing that they are given.
+All that these functions are given has passed `checked_value`, and so does all that they give: numbers and small arrays
+of numbers, never Python integers without limit, objects or texts. They change nothing that they are given.
 """
 
 from __future__ import annotations
@@ -25,10 +25,10 @@ _ITEMS = (float, int, np.ndarray, np.generic)  # of a row; an integer is a loop'
 
 def namespace() -> dict[str, Any]:
     """The globals of translated code: the vocabulary, and no builtins."""
-    return {"__builtins__": {}, **CONSTANTS, **FUNCTIONS, **OPERATIONS, VALUE: checked}
+    return {"__builtins__": {}, **CONSTANTS, **FUNCTIONS, **OPERATIONS, VALUE: checked_value}
 
 
-def checked(value: Any) -> Any:
+def checked_value(value: Any) -> Any:
     """The value of any expression, unless code must not go on with it: a number, a small array, a flat row, a step.
 
     Raises:
@@ -64,7 +64,7 @@ def _operation(call: Callable[[Any, Any], Any]) -> Callable[[Any, Any], Any]:
 
 def _array(value: Any) -> Any:
     """An argument of numpy's: rows become arrays of floats."""
-    return checked(np.array(value, dtype=np.float64)) if isinstance(value, tuple) else _number(value)
+    return checked_value(np.array(value, dtype=np.float64)) if isinstance(value, tuple) else _number(value)
 
 
 def _of_numpy(call: Callable[..., Any]) -> Callable[..., Any]:
