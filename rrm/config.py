@@ -225,7 +225,7 @@ class FeedbackConfig(ConfigSection):
         "disagreement"  #: from the second session on; the first is uniform
     )
     pool: Count = 10  #: candidate pairs per query asked
-    schedule: Literal["constant", "decay", "grow"] = "constant"  #: of the batch: ever fewer, or more
+    schedule: Literal["constant", "decay", "grow"] = "constant"  #: `decay` asks fewer as the run goes on, `grow` more
     window: Count = 100  #: newest complete episodes that segments are drawn from
 
     def session_size(self, step: int, steps: int, requested: int) -> int:

@@ -39,7 +39,15 @@ class MetaWorldEnv(TaskEnv):
         )  # fmt: skip
         if horizon > _LONGEST:
             raise ConfigError(f"horizon is {horizon}; Meta-World's episodes have {_LONGEST} steps at the most")
-        self.sim = _simulator(task)
+        classes: Any = metaworld.env_dict.ALL_V3_ENVIRONMENTS
+        if task not in classes:
+            raise UnknownNameError("Meta-World task", task, classes)
+        self.sim = classes[task]()
+        self.sim._set_task_called = True  # step() refuses to run otherwise
+        self.sim._partially_observable = False
+        # The cached space has the hidden goal's bounds, zero and zero, to which every step's observation is clipped.
+        self.sim.__dict__.pop("sawyer_observation_space", None)
+        self.sim._freeze_rand_vec = True
         self._task = task
         self._vector = np.zeros(0)
 
@@ -92,19 +100,6 @@ class MetaWorldEnv(TaskEnv):
 
     def close(self) -> None:
         self.sim.close()
-
-
-def _simulator(task: str) -> Any:
-    classes = metaworld.env_dict.ALL_V3_ENVIRONMENTS
-    if task not in classes:
-        raise UnknownNameError("Meta-World task", task, classes)
-    sim = classes[task]()
-    sim._set_task_called = True  # step() refuses to run otherwise
-    sim._partially_observable = False
-    # The cached space still has the hidden goal's bounds, zero and zero, to which every step's observation is clipped.
-    sim.__dict__.pop("sawyer_observation_space", None)
-    sim._freeze_rand_vec = True
-    return sim
 
 
 def scripted_policy(name: str) -> Callable[[Floats], Floats]:
