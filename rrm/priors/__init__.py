@@ -51,16 +51,13 @@ def check_prior(name: str, task: Task) -> None:
     """
     if language.is_frozen(name):
         language.check_frozen(name, task)
-        return
-    if is_file_reference(name):
+    elif is_file_reference(name):
         check_file(name, "prior")
-        return
-    if name not in PRIORS:
+    elif name not in PRIORS:
         if ".py" in name:
             raise ConfigError(f"prior {name!r}: a prior of your own is named path/to/file.py:function")
         raise UnknownNameError("prior", name, PRIORS)
-    refusal = _refusal(name, task)
-    if refusal:
+    elif refusal := _refusal(name, task):
         suited = ", ".join(prior for prior in sorted(PRIORS) if not _refusal(prior, task))
         raise ConfigError(f'prior "{name}" {refusal}. Priors for {task.name}: {suited}')
 

@@ -40,17 +40,15 @@ def checked_value(value: Any) -> Any:
     if isinstance(value, np.ndarray):
         if value.size > LARGEST or value.ndim > MOST_AXES:
             raise ValueError(f"an array of shape {value.shape}; {LARGEST} numbers along {MOST_AXES} axes are the most")
-        return value
-    if isinstance(value, int):
+    elif isinstance(value, int):
         return float(value)  # Python's unbounded integers end here
-    if isinstance(value, tuple):
+    elif isinstance(value, tuple):
         for item in value:
             if not isinstance(item, _ITEMS):
                 raise TypeError(f"a {type(item).__name__} inside a tuple or list; numbers and arrays can stand there")
-        return value
-    if isinstance(value, np.generic | Scene):
-        return value
-    raise TypeError(f"a {type(value).__name__} is no number, array or row of them")
+    elif not isinstance(value, np.generic | Scene):
+        raise TypeError(f"a {type(value).__name__} is no number, array or row of them")
+    return value
 
 
 def _number(value: Any) -> Any:
