@@ -61,7 +61,6 @@ class ImitatedReward(EnsembleReward):
 
     def __init__(self, g: RewardNet) -> None:
         self._g, self._net = g, g.net
-        self._linear = True  # the head is g's own
 
     def members(self, segments: Segments) -> Tensor:
         rewards = self._g(torch.cat([segments.obs, segments.act], dim=-1))
