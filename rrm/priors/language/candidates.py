@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import time
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from hashlib import sha256
 from pathlib import Path
 from typing import NamedTuple
@@ -62,42 +62,42 @@ def freeze_best(
             raise ConfigError(f"{text!r} cannot stand in a record; use printable text")
     if len({path.name for path in paths}) < len(paths):
         raise ConfigError("two candidates have the same file name; the record tells them apart by it")
-    codes = [read_source(path) for path in paths]
-    candidates = try_out(task, paths, codes, walk(task))
+    codes = {path.name: read_source(path) for path in paths}
+    candidates = try_out(task, codes, walk(task))
     kept = best(candidates)
     if kept is None:
         raise PriorError("no candidate can be used:\n" + "\n".join(f"  {c.refused}" for c in candidates))
     record = Record(
         task=task.name, model=model, date=date, prompt_sha256=sha256(prompt.encode()).hexdigest(),
-        kept=paths[kept].name, candidates=tuple(candidates),
+        kept=candidates[kept].file, candidates=tuple(candidates),
     )  # fmt: skip
-    content = freeze(record, codes[kept])
+    content = freeze(record, codes[record.kept])
     admit(content, str(target))
     make_folder(folder)
     write_atomically(target, content)
     return target, record
 
 
-def try_out(task: Task, paths: Sequence[Path], codes: Sequence[bytes], lived: Walk) -> list[Candidate]:
-    """What becomes of each candidate: a reason against it, or a score where there are others to agree with."""
+def try_out(task: Task, codes: Mapping[str, bytes], lived: Walk) -> list[Candidate]:
+    """What becomes of each file's code: a reason against it, or a score where there are others to agree with."""
     sums: dict[str, Doubles] = {}
     refused: dict[str, str] = {}
-    for path, code in zip(paths, codes, strict=True):
+    for file, code in codes.items():
         try:
-            admitted = admit(code, path.name)
+            admitted = admit(code, file)
             check_reads(admitted, task)
-            said = values(admitted.function(), task, lived, path.name)
+            said = values(admitted.function(), task, lived, file)
             if np.ptp(said) == 0:
-                raise PriorError(f"{path.name}: says {said.flat[0]:g} of every step")
-            sums[path.name] = segment_sums(said)
+                raise PriorError(f"{file}: says {said.flat[0]:g} of every step")
+            sums[file] = segment_sums(said)
         except RrmError as error:
-            refused[path.name] = str(error)
+            refused[file] = str(error)
     candidates = []
-    for path, code in zip(paths, codes, strict=True):
-        agreed = [agreement(sums[path.name], sums[other]) for other in sums if path.name in sums and other != path.name]
+    for file, code in codes.items():
+        agreed = [agreement(sums[file], sums[other]) for other in sums if file in sums and other != file]
         score = round(float(np.mean(agreed)), 4) if agreed else None
-        digest, reason = sha256(code).hexdigest(), refused.get(path.name)
-        candidates.append(Candidate(file=path.name, sha256=digest, refused=reason, score=score))
+        digest = sha256(code).hexdigest()
+        candidates.append(Candidate(file=file, sha256=digest, refused=refused.get(file), score=score))
     return candidates
 
 

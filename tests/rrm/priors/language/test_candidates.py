@@ -52,7 +52,7 @@ def written(folder, *names):
 
 def judged(folder, lived, *names):
     paths = written(folder, *names)
-    return try_out(TOY, paths, [path.read_bytes() for path in paths], lived)
+    return try_out(TOY, {path.name: path.read_bytes() for path in paths}, lived)
 
 
 def test_the_walk(lived):
