@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from rrm.envs.tasks import Task
     from rrm.types import Floats
 
-FORMAT = "rrm-demonstrations-1"
+DEMOS_FORMAT = "rrm-demonstrations-1"
 _ENTRY = "demonstrations"
 _LARGEST = 2**34  # bytes
 
@@ -58,7 +58,7 @@ class Demonstrations:
 
     def save(self, path: str | Path) -> None:
         """Write the file, whole or not at all. Raises OSError where there is no room or permission."""
-        header = {"format": FORMAT, "provenance": dict(self.provenance)}
+        header = {"format": DEMOS_FORMAT, "provenance": dict(self.provenance)}
         arrays = {name: np.ascontiguousarray(getattr(self, name)) for name in _KINDS}
         write_atomically(place(path), tensors.pack(arrays, _ENTRY, header))
 
@@ -74,8 +74,8 @@ class Demonstrations:
         except (FileNotFoundError, NotADirectoryError, UnfitFileError, ValueError) as error:
             raise DemosError(f"{path} cannot be read as demonstrations: {error}") from error
         provenance = header.get("provenance")
-        if header.get("format") != FORMAT or not isinstance(provenance, dict):
-            raise DemosError(f"{path} is not a file of demonstrations: its header does not say {FORMAT}")
+        if header.get("format") != DEMOS_FORMAT or not isinstance(provenance, dict):
+            raise DemosError(f"{path} is not a file of demonstrations: its header does not say {DEMOS_FORMAT}")
         missing = [name for name in _KINDS if name not in arrays]
         if missing:
             raise DemosError(f"{path} lacks {', '.join(missing)}")

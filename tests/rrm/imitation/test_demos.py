@@ -10,7 +10,7 @@ import safetensors.numpy
 
 from rrm.envs import task
 from rrm.errors import ConfigError, DemosError, UnknownNameError
-from rrm.imitation.demos import FORMAT, Demonstrations
+from rrm.imitation.demos import DEMOS_FORMAT, Demonstrations
 from rrm.training.demonstrate import demonstrate
 
 ARRAYS = ("obs", "act", "next_obs", "terminated", "lengths", "returns", "successes")
@@ -74,10 +74,10 @@ def test_what_is_no_such_file_is_refused(tmp_path, damage):
             safetensors.numpy.save_file(arrays, path)
         case "lacks":
             del arrays["act"]
-            told = json.dumps({"format": FORMAT, "provenance": {}})
+            told = json.dumps({"format": DEMOS_FORMAT, "provenance": {}})
             safetensors.numpy.save_file(arrays, path, {"demonstrations": told})
         case "provenance":
-            told = json.dumps({"format": FORMAT, "provenance": 3})
+            told = json.dumps({"format": DEMOS_FORMAT, "provenance": 3})
             safetensors.numpy.save_file(arrays, path, {"demonstrations": told})
     with pytest.raises(DemosError, match=r"d\.safetensors"):
         Demonstrations.load(path)
