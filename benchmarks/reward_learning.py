@@ -18,8 +18,8 @@ from rrm.config import AgentConfig, RewardConfig
 from rrm.envs import Spaces
 from rrm.nets.precision import rounds
 from rrm.precision import Precision
+from rrm.rewards.ensemble import ResidualReward
 from rrm.rewards.pebble import Pebble
-from rrm.rewards.residual import ResidualReward
 from rrm.types import Transition
 
 ROWS, EPISODE = 500_000, 500

@@ -30,27 +30,19 @@ _TREE = "tree"  # entry of the header
 _LARGEST_MARKER = 1 << 16  # bytes
 #: What comes of a marker that says something else.
 _ODD = (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError)
+_Arrays = dict[str, np.ndarray[Any, Any]]
 _BLOCK = 1 << 22  # bytes of a log in memory while it is read back
 
 
 def encode(state: State) -> bytes:
-    """The state as one safetensors file.
-
-    Raises:
-        TypeError: a leaf is neither tensor, array nor JSON value.
-    """
-    arrays: dict[str, np.ndarray[Any, Any]] = {}
-    tree = _split(state, "state", arrays)
-    return tensors.encode(arrays, _TREE, tree)
+    """The state as one safetensors file; a leaf that is neither tensor, array nor JSON value is a `TypeError`."""
+    arrays: _Arrays = {}
+    return tensors.pack(arrays, _TREE, _split(state, "state", arrays))
 
 
 def check_finite(state: State) -> None:
-    """Refuse a state in which training has diverged: nothing good could come of going on with it.
-
-    Raises:
-        NumericalError: a tensor of floating-point numbers holds NaN or infinity; the message names it.
-    """
-    arrays: dict[str, np.ndarray[Any, Any]] = {}
+    """Refuse a state in which training has diverged; a `NumericalError` names the tensor with NaN or infinity."""
+    arrays: _Arrays = {}
     _split(state, "state", arrays)
     for path, values in arrays.items():
         bad = values.size - np.isfinite(values).sum() if values.dtype.kind == "f" else 0
@@ -59,28 +51,19 @@ def check_finite(state: State) -> None:
 
 
 def decode(data: bytes) -> State:
-    """The state that `encode` was given, tensors on the CPU.
-
-    Raises:
-        CheckpointError: the bytes are not such a file, or damaged.
-    """
+    """The state that `encode` was given, tensors on the CPU; a `CheckpointError` where the bytes are none."""
     try:
-        arrays, tree = tensors.decode(data, _TREE)
-        joined: State = _join(tree, arrays)
+        arrays, tree = tensors.unpack(data, _TREE)
+        return _join(tree, arrays)  # type: ignore[no-any-return]
     except (ValueError, KeyError) as error:
         raise CheckpointError(f"not a saved state: {error}") from error
-    return joined
 
 
 def read_networks(path: Path, what: str) -> State:
-    """The state that a finished run left in a file.
-
-    Args:
-        what: the file is to the reader, for messages.
+    """The state that a finished run left in a file; `what` that is to the reader, for messages.
 
     Raises:
         MissingResultError: there is none, or it is damaged; the message says how to make it again.
-        OSError: it cannot be read now, which says nothing about what it holds.
     """
     try:
         return decode(path.read_bytes())
@@ -95,7 +78,7 @@ def again(path: Path) -> str:
     return f"bring it back, or remove {path.parent} and run the experiment again with --retry-failed"
 
 
-def _split(node: Any, path: str, arrays: dict[str, np.ndarray[Any, Any]]) -> Any:
+def _split(node: Any, path: str, arrays: _Arrays) -> Any:
     if isinstance(node, dict):
         return {str(key): _split(value, f"{path}/{key}", arrays) for key, value in node.items()}
     if isinstance(node, list | tuple):
@@ -113,7 +96,7 @@ def _split(node: Any, path: str, arrays: dict[str, np.ndarray[Any, Any]]) -> Any
     raise TypeError(f"{path}: a state cannot hold a {type(node).__name__}")
 
 
-def _join(node: Any, arrays: dict[str, np.ndarray[Any, Any]]) -> Any:
+def _join(node: Any, arrays: _Arrays) -> Any:
     if isinstance(node, list):
         return [_join(value, arrays) for value in node]
     if not isinstance(node, dict):
@@ -147,27 +130,20 @@ class AppendLog:
     def restore(self, size: int, crc: int, record: int) -> Iterator[bytes]:
         """The first `size` bytes in blocks of whole records; later appends continue there.
 
-        Whether they are intact is known only behind the last block: what was made of them must be thrown away if this
-        raises.
-
-        Args:
-            record: bytes of a record, which no block cuts.
-
-        Raises:
-            CheckpointError: the file is missing, too short, or its checksum differs.
-            OSError: it cannot be read now, which says nothing about what it holds.
+        No block cuts a record of so many bytes. Whether they are intact is known only behind the last block: what was
+        made of them must be thrown away if this raises `CheckpointError`: the file is missing, too short or damaged.
         """
-        read, found = 0, 0
+        read = checksum = 0
         try:
             with self._path.open("rb") as file:
                 while block := file.read(min(size - read, _BLOCK // record * record)):
-                    read, found = read + len(block), zlib.crc32(block, found)
+                    read, checksum = read + len(block), zlib.crc32(block, checksum)
                     if len(block) % record:
                         break
                     yield block
         except FileNotFoundError as error:
             raise CheckpointError(f"{self._path}: {error.strerror}") from error
-        if read != size or found != crc:
+        if read != size or checksum != crc:
             raise CheckpointError(f"{self._path}: damaged (its first {size} bytes do not match their checksum)")
         self.size, self.crc = size, crc
 
@@ -183,8 +159,7 @@ class Checkpoints:
     def save(self, step: int, state: State) -> None:
         """Write the state of `step` and commit it; older ones than the newest two go.
 
-        Raises:
-            OSError: no space or permission; the checkpoints before stay as they are.
+        An `OSError` leaves the checkpoints before as they are.
         """
         data = encode(state)
         name = f"state-{step:012d}"
@@ -203,15 +178,13 @@ class Checkpoints:
         Damaged checkpoints are set aside as `damaged-...`, so that they cannot stand before the good ones that follow.
         What processes that died in the middle of a checkpoint left behind is removed: nobody else may be writing here.
 
-        Returns:
-            The step of that state; None when there is no usable checkpoint (see `skipped`).
-
-        Raises:
-            ConfigError: the checkpoint was written in another format.
-            OSError: a file cannot be read now; nothing is set aside.
+        Returns the step of that state; None when there is no usable checkpoint (see `skipped`). Nothing is set aside
+        where one was written in another format (`ConfigError`) or cannot be read now (`OSError`).
         """
-        self._remove_leftovers()
         self.skipped, markers = [], self._markers()
+        for path in (*self.folder.glob(".*.tmp"), *self.folder.glob("state-*.safetensors")):
+            if path.with_suffix(".json") not in markers:  # not written to its end, or its marker is set aside
+                path.unlink(missing_ok=True)
         self.newest = int(markers[0].stem.removeprefix("state-")) if markers else 0
         for marker in markers:
             try:
@@ -220,29 +193,19 @@ class Checkpoints:
                 return step
             except CheckpointError as error:
                 self.skipped.append(f"{marker.stem}: {error}")
-                self._set_aside(marker)
+                marker.replace(marker.with_name(f"damaged-{marker.name}"))
+                sync_folder(self.folder)
         return None
-
-    def _remove_leftovers(self) -> None:
-        """Remove files that were not written to their end, and states whose marker was not, or is set aside."""
-        markers = set(self._markers())
-        states = (path for path in self.folder.glob("state-*.safetensors") if path.with_suffix(".json") not in markers)
-        for path in (*self.folder.glob(".*.tmp"), *states):
-            path.unlink(missing_ok=True)
-
-    def _set_aside(self, marker: Path) -> None:
-        marker.replace(marker.with_name(f"damaged-{marker.name}"))
-        sync_folder(self.folder)
 
     def _markers(self) -> list[Path]:
         return sorted(self.folder.glob("state-*.json"), reverse=True)
 
     def _read(self, marker: Path) -> tuple[int, State]:
         try:
-            told = json.loads(read_bounded(marker, _LARGEST_MARKER))
-            seal = told.pop("checksum", None)
-            version, step, size, crc = (int(told[key]) for key in ("format", "step", "size", "crc32"))
-            if version != 1 and seal != _seal(told):  # the first format had none
+            entries = json.loads(read_bounded(marker, _LARGEST_MARKER))
+            seal = entries.pop("checksum", None)
+            version, step, size, crc = (int(entries[key]) for key in ("format", "step", "size", "crc32"))
+            if version != 1 and seal != _seal(entries):  # the first format had none
                 raise CheckpointError("damaged (its marker does not match its checksum)")
             data = read_bounded(marker.with_suffix(".safetensors"), size)
         except (FileNotFoundError, UnfitFileError, *_ODD) as error:

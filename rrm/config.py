@@ -101,11 +101,7 @@ class LearnerSettings(ConfigSection):
         return 1
 
     def check(self, segment: int, update_every: int) -> None:
-        """Refuse settings that do not go with segments of so many steps, or so many steps between two updates.
-
-        Raises:
-            ConfigError: they do not.
-        """
+        """Refuse settings that do not go with segments of so many steps, or so many steps between two updates."""
 
 
 class SurfConfig(LearnerSettings):
@@ -186,8 +182,8 @@ class RewardConfig(ConfigSection):
     @classmethod
     def own(cls) -> dict[str, LearnerSettings]:
         """The sections of learners that have one, at their defaults, by name."""
-        found = {name: field.default for name, field in cls.model_fields.items()}
-        return {name: default for name, default in found.items() if isinstance(default, LearnerSettings)}
+        defaults = {name: field.default for name, field in cls.model_fields.items()}
+        return {name: default for name, default in defaults.items() if isinstance(default, LearnerSettings)}
 
     @property
     def settings(self) -> LearnerSettings:
@@ -229,14 +225,11 @@ class FeedbackConfig(ConfigSection):
         "disagreement"  #: from the second session on; the first is uniform
     )
     pool: Count = 10  #: candidate pairs per query asked
-    schedule: Literal["constant", "decay", "grow"] = "constant"  #: of the batch over the run
+    schedule: Literal["constant", "decay", "grow"] = "constant"  #: `decay` asks fewer as the run goes on, `grow` more
     window: Count = 100  #: newest complete episodes that segments are drawn from
 
     def session_size(self, step: int, steps: int, requested: int) -> int:
-        """Queries of the session at `step` of a run of `steps`, of which `requested` have been put already.
-
-        `decay` asks fewer as the run goes on, `grow` more; the budget caps all of them.
-        """
+        """Queries of the session at `step` of a run of `steps`, after `requested` before it; the budget caps all."""
         factor = {"constant": 1.0, "decay": (steps - step) / steps or 0.01, "grow": steps / (steps - step + 1)}
         wanted = max(1, int(self.batch * factor[self.schedule]))
         return max(0, min(wanted, self.budget - requested))

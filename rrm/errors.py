@@ -26,8 +26,6 @@ class UnknownNameError(RrmError):
     def __init__(self, kind: str, name: str, known: Iterable[str]) -> None:
         names = sorted(known)
         super().__init__(f'unknown {kind} "{name}"{nearest(name, names)} known: {", ".join(names)}')
-        self.kind = kind
-        self.name = name
 
 
 class PriorError(RrmError):

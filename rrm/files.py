@@ -17,12 +17,7 @@ class UnfitFileError(OSError):
 
 
 def open_regular(path: Path) -> BinaryIO:
-    """Open a regular file to be read. A pipe, which may have no end, is not waited for.
-
-    Raises:
-        UnfitFileError: it is something else.
-        OSError: there is none, or it cannot be read.
-    """
+    """Open a file to be read; raise `UnfitFileError` where it is no regular one. A pipe is not waited for."""
     descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
     if not stat.S_ISREG(os.fstat(descriptor).st_mode):
         os.close(descriptor)
@@ -49,28 +44,17 @@ def place(path: str | Path) -> Path:
 def write_atomically(path: Path, data: bytes) -> None:
     """Replace `path` by `data`; after a crash it holds the old bytes or the new ones, never a mixture.
 
-    A file that holds these bytes already is left alone, and may be in a folder that takes no write.
-
-    Raises:
-        OSError: no space, no permission; the error names `path`, and the old file is untouched.
+    A file that holds these bytes already is left alone, and may be in a folder that takes no write. An `OSError` names
+    `path`, and leaves the old file untouched.
     """
-    if not _holds(path, data):
-        replace(path, data, durably=True)
-
-
-def _holds(path: Path, data: bytes) -> bool:
-    try:
-        return path.stat().st_size == len(data) and path.read_bytes() == data
-    except OSError:
-        return False
+    with contextlib.suppress(OSError):
+        if path.stat().st_size == len(data) and path.read_bytes() == data:
+            return
+    replace(path, data, durably=True)
 
 
 def replace(path: Path, data: bytes, *, durably: bool = False) -> None:
-    """Replace `path` by `data` as a whole for every reader; only `durably` does it survive the machine's crash.
-
-    Raises:
-        OSError: as `write_atomically`.
-    """
+    """Replace `path` by `data` as a whole for every reader; only `durably` does it survive the machine's crash."""
     # Processes of two machines or containers can have one number, and threads of one process do.
     temporary = path.parent / f".{path.name}.{os.getpid()}.{secrets.token_hex(4)}.tmp"
     with naming(path):
@@ -99,16 +83,11 @@ def naming(path: Path) -> Iterator[None]:
 
 
 def make_folder(folder: Path) -> None:
-    """Make a folder, and those above it that are missing, durably. One that is there is left alone.
-
-    Raises:
-        OSError: no space, no permission, or a file is in the way.
-    """
-    if folder.is_dir():
-        return
-    make_folder(folder.parent)
-    folder.mkdir(exist_ok=True)
-    sync_folder(folder.parent)
+    """Make a folder, and those above it that are missing, durably. One that is there is left alone."""
+    if not folder.is_dir():
+        make_folder(folder.parent)
+        folder.mkdir(exist_ok=True)
+        sync_folder(folder.parent)
 
 
 def sync_folder(folder: Path) -> None:

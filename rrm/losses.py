@@ -12,13 +12,9 @@ _LOG_SQRT_2PI = 0.5 * math.log(2 * math.pi)
 
 
 def preference_logit(r_hat_0: Tensor, r_hat_1: Tensor) -> Tensor:
-    """Log-odds that segment 1 is preferred to segment 0 (Bradley-Terry, paper eq. 1).
+    """Log-odds [...] that segment 1 is preferred to segment 0 (Bradley-Terry, paper eq. 1).
 
-    Args:
-        r_hat_0, r_hat_1: reward per step, float32 [..., T]; the rewards of a segment are summed, not averaged.
-
-    Returns:
-        float32 [...]; above zero favours segment 1.
+    Rewards per step are float32 [..., T]; those of a segment are summed, not averaged.
     """
     return r_hat_1.sum(dim=-1) - r_hat_0.sum(dim=-1)
 
@@ -29,24 +25,13 @@ def preference_loss(logits: Tensor, target: Tensor) -> Tensor:
     Args:
         logits: log-odds for segment 1 by every member, float32 [N, B].
         target: probability that segment 1 is preferred, float32 [B] or [N, B]; 0.5 for a tie.
-
-    Returns:
-        float32 scalar.
     """
     losses = binary_cross_entropy_with_logits(logits, target.expand_as(logits), reduction="none")
     return losses.mean(dim=-1).sum()
 
 
 def window_sums(r_hat: Tensor, starts: Tensor, ends: Tensor) -> Tensor:
-    """Sums of the rewards of steps `starts` up to, not including, `ends`.
-
-    Args:
-        r_hat: reward per step, float32 [..., T].
-        starts, ends: K windows of each segment, int64 [..., K], between 0 and T.
-
-    Returns:
-        float32 [..., K].
-    """
+    """Sums [..., K] of the rewards [..., T] of steps `starts` up to, not including, `ends`, int64 [..., K]."""
     before = pad(r_hat.cumsum(dim=-1), (1, 0))
     at_starts, at_ends = before.gather(-1, torch.cat((starts, ends), dim=-1)).chunk(2, dim=-1)
     return at_ends - at_starts
@@ -74,11 +59,7 @@ def squashed_gaussian_log_prob(noise: Tensor, log_std: Tensor, pre_tanh: Tensor)
     The log-determinant of tanh, log(1 - tanh(x)^2), is taken as 2 (ln 2 - x - softplus(-2 x)), which stays finite where
     tanh rounds to one. `softplus(x, beta=-2)` is -softplus(-2 x) / 2.
 
-    Args:
-        noise, log_std, pre_tanh: float32 [A, B].
-
-    Returns:
-        float32 [B], nats, summed over the A dimensions.
+    Arguments are float32 [A, B]; the result is [B], nats, summed over the A dimensions.
     """
     log_cosh = pre_tanh.sub(softplus(pre_tanh, beta=-2), alpha=2)  # and ln 2 more
     spread = log_std.add(noise.square(), alpha=0.5)

@@ -11,9 +11,8 @@ from __future__ import annotations
 
 import json
 import time
-from dataclasses import astuple, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from rrm.files import UnfitFileError, read_bounded, write_atomically
 
@@ -28,8 +27,7 @@ _MAGIC = b"PAR1"
 _LARGEST = 2**30  # bytes of a file whose readers are looked after
 
 
-@dataclass(frozen=True)
-class Pages:
+class Pages(NamedTuple):
     """Where the pages of one version lie: bytes `start` to `end` of the file."""
 
     start: int
@@ -40,20 +38,15 @@ class Pages:
 def write_table(path: Path, table: pa.Table, **settings: Any) -> None:
     """Replace `path` by the table, durably; who is reading it by its path meanwhile gets what it held, or the table.
 
-    A file that holds the same rows, columns and metadata already is left alone, whichever version wrote it.
-
-    Args:
-        settings: of `pyarrow.parquet.ParquetWriter`.
-
-    Raises:
-        OSError: no space, no permission; the error names `path`, and the old file is untouched.
+    A file that holds the same rows, columns and metadata already is left alone, whichever version wrote it. An
+    `OSError` names `path`, and leaves the old file untouched. Settings are those of `pyarrow.parquet.ParquetWriter`.
     """
     try:
         before = read_bounded(path, _LARGEST)
     except (FileNotFoundError, UnfitFileError):
         before = b""
     if not _holds(before, table):
-        write_atomically(path, encode(table, before, **settings))
+        write_atomically(path, table_bytes(table, before, **settings))
 
 
 def _holds(file: bytes, table: pa.Table) -> bool:
@@ -62,31 +55,30 @@ def _holds(file: bytes, table: pa.Table) -> bool:
     import pyarrow.parquet as pq
 
     try:
-        held = pq.ParquetFile(pa.BufferReader(file), page_checksum_verification=True)
-        if held.metadata.num_rows != table.num_rows:
+        content = pq.ParquetFile(pa.BufferReader(file), page_checksum_verification=True)
+        if content.metadata.num_rows != table.num_rows:
             return False
-        rows = held.read(use_threads=False)
+        rows = content.read(use_threads=False)
     except (pa.ArrowException, OSError, ValueError):
         return False
-    told = {key: value for key, value in (rows.schema.metadata or {}).items() if key != _KEY}
-    return encode(rows.replace_schema_metadata(told or None)) == encode(table)
+    metadata = {key: value for key, value in (rows.schema.metadata or {}).items() if key != _KEY}
+    return table_bytes(rows.replace_schema_metadata(metadata or None)) == table_bytes(table)
 
 
-def encode(table: pa.Table, before: bytes = b"", **settings: Any) -> bytes:
-    """The table as a parquet file.
-
-    Args:
-        before: the file that it replaces, whose readers are not to be disturbed; none if that is damaged.
-        settings: of `pyarrow.parquet.ParquetWriter`.
-    """
+def table_bytes(table: pa.Table, before: bytes = b"", **settings: Any) -> bytes:
+    """The table as a parquet file, in place of the file `before`, whose readers are not disturbed if it is whole."""
     kept = _kept(before)
-    pages, footer = _encode_at(len(_MAGIC), table, kept, settings)
-    start = _gap(kept, len(pages))
-    if start != len(_MAGIC):  # its size was not known before
-        pages, footer = _encode_at(start, table, kept, settings)
-    data = bytearray(max([start + len(pages), *(each.end for each in kept)]))
-    for each in kept:
-        data[each.start : each.end] = before[each.start : each.end]
+    start = len(_MAGIC)
+    pages, footer = _encoded_at(start, table, kept, settings)
+    for place in kept:  # to the first gap that is large enough, or behind the last
+        if start + len(pages) <= place.start:
+            break
+        start = max(start, place.end)
+    if start != len(_MAGIC):
+        pages, footer = _encoded_at(start, table, kept, settings)
+    data = bytearray(max([start + len(pages), *(place.end for place in kept)]))
+    for place in kept:
+        data[place.start : place.end] = before[place.start : place.end]
     data[start : start + len(pages)] = pages
     data[: len(_MAGIC)] = _MAGIC
     return bytes(data) + footer
@@ -99,26 +91,15 @@ def _kept(before: bytes) -> list[Pages]:
 
     now = time.time()
     try:
-        told = (pq.read_metadata(pa.BufferReader(before)).metadata or {})[_KEY]
-        places = [Pages(*each) for each in json.loads(told)]
+        places = [Pages(*place) for place in json.loads(pq.read_metadata(pa.BufferReader(before)).metadata[_KEY])]
     except (pa.ArrowException, OSError, ValueError, TypeError, KeyError, RecursionError):
         return []  # none, a damaged one, or another program's: nobody can have begun to read it as one of these
-    kept = [Pages(each.start, each.end, each.replaced or now) for each in places]
-    young = [each for each in kept if each.replaced is not None and abs(now - each.replaced) < KEPT_S]
-    return sorted((each for each in young if 0 <= each.start <= each.end <= len(before)), key=lambda each: each.start)
+    kept = [place._replace(replaced=place.replaced or now) for place in places]
+    young = [place for place in kept if abs(now - (place.replaced or now)) < KEPT_S]
+    return sorted(place for place in young if 0 <= place.start <= place.end <= len(before))
 
 
-def _gap(kept: list[Pages], size: int) -> int:
-    """The first place for so many bytes between those that are kept, or behind them."""
-    start = len(_MAGIC)
-    for each in kept:
-        if start + size <= each.start:
-            break
-        start = max(start, each.end)
-    return start
-
-
-def _encode_at(start: int, table: pa.Table, kept: list[Pages], settings: dict[str, Any]) -> tuple[bytes, bytes]:
+def _encoded_at(start: int, table: pa.Table, kept: list[Pages], settings: dict[str, Any]) -> tuple[bytes, bytes]:
     """Pages that will lie at `start`, and the footer that finds them there."""
     import pyarrow as pa
     import pyarrow.parquet as pq
@@ -128,7 +109,6 @@ def _encode_at(start: int, table: pa.Table, kept: list[Pages], settings: dict[st
         sink.write(bytes(start - sink.tell()))  # the writer notes down where in the stream its pages come to lie
         writer.write_table(table)
         end = sink.tell()
-        places = [Pages(start, end), *kept]
-        writer.add_key_value_metadata({_KEY: json.dumps([astuple(each) for each in places])})
+        writer.add_key_value_metadata({_KEY: json.dumps([Pages(start, end), *kept])})
     data = sink.getvalue().to_pybytes()
     return data[start:end], data[end:]

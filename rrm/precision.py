@@ -11,7 +11,7 @@ from pydantic import BeforeValidator
 Precision = Literal["float32", "bfloat16"]
 
 #: A setting that may also be "auto"; what is stored is what that meant on the machine that planned the run.
-PrecisionSetting = Annotated[Precision, BeforeValidator(lambda value: best() if value == "auto" else value)]
+PrecisionSetting = Annotated[Precision, BeforeValidator(lambda value: native_precision() if value == "auto" else value)]
 
 
 def extensions(cpuinfo: Path = Path("/proc/cpuinfo")) -> frozenset[str]:
@@ -25,6 +25,6 @@ def extensions(cpuinfo: Path = Path("/proc/cpuinfo")) -> frozenset[str]:
 
 
 @cache
-def best() -> Precision:
+def native_precision() -> Precision:
     """bfloat16 where this machine's processor multiplies float32 numbers in it, which on x86 needs AMX."""
     return "bfloat16" if "amx_bf16" in extensions() else "float32"

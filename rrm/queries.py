@@ -23,11 +23,8 @@ _CENTERS_AT_ONCE = 256  # rows of the distance matrix of k-center
 def uniform_pairs(episodes: Sequence[Episode], segment: int, count: int, rng: np.random.Generator) -> Rows:
     """`count` pairs of segments of `segment` steps: first rows, int64 [count, 2].
 
-    Every segment is an independent uniform draw of an episode, then of a start within it, its last possible start
-    included.
-
-    Raises:
-        ValueError: no episode is long enough.
+    Every segment is an independent uniform draw of an episode that is long enough, then of a start within it, its last
+    possible start included.
     """
     starts = np.array([e.start for e in episodes if e.length >= segment], np.int64)
     lengths = np.array([e.length for e in episodes if e.length >= segment], np.int64)

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import ast
 import hashlib
 import importlib
 import importlib.util
+import symtable
 import sys
 import warnings
 from collections.abc import Mapping
@@ -19,9 +19,6 @@ from rrm.files import place, read_bounded
 LANGUAGE = ".language.py"
 _MOST_CODE = 10_000_000  # bytes of a user's file
 
-#: With one of these at its top level a file may have names that reading it does not show.
-_OPEN = {"*", "__getattr__"}
-
 
 def is_file_reference(name: str) -> bool:
     """True for `path/to/file.py:attribute`, the form in which users name code of their own."""
@@ -30,12 +27,7 @@ def is_file_reference(name: str) -> bool:
 
 
 def lookup(table: Mapping[str, str], kind: str, name: str) -> Any:
-    """The object that `name` stands for in `table`, or in a file of the user's when it reads `file.py:attribute`.
-
-    Raises:
-        UnknownNameError: no such name; the message lists what is known and the nearest match.
-        ConfigError: the user's file is missing, does not import, or lacks the attribute.
-    """
+    """The object that `name` stands for in `table`, or in a file of the user's when it reads `file.py:attribute`."""
     if is_file_reference(name):
         return _from_file(name, kind)
     if name not in table:
@@ -48,67 +40,34 @@ def check_file(name: str, kind: str) -> None:
     """Refuse a file of the user's that cannot hold what `file.py:attribute` names. The file is read, never run.
 
     What only running it shows (an import that fails, say) is refused by `lookup`, in the process that needs it.
-
-    Raises:
-        ConfigError: there is no such file, it is not Python (with the line), or nothing at its top level has the name.
     """
     path, attribute = _located(name, kind)
-    names = _top_level(_parsed(path, name, kind))
-    if attribute not in names and not names & _OPEN:
-        raise ConfigError(f"{kind} {name!r}: {path} defines no {attribute!r}{nearest(attribute, names)}")
-
-
-def _parsed(path: Path, name: str, kind: str) -> ast.Module:
     try:
         with warnings.catch_warnings(action="ignore"):  # the run itself shows them, in its log
-            tree = ast.parse(read_bounded(path, _MOST_CODE))
-            compile(tree, str(path), "exec", dont_inherit=True)  # finds what the grammar alone lets pass
+            source = read_bounded(path, _MOST_CODE)
+            code = compile(source, str(path), "exec", dont_inherit=True)
+            table = symtable.symtable(source, str(path), "exec")  # type: ignore[arg-type]  # bytes say their coding
     except SyntaxError as error:
         raise ConfigError(f"{kind} {name!r}: {path}, line {error.lineno}: {error.msg}") from None
     except (ValueError, RecursionError, MemoryError) as error:  # null bytes, nesting without end
         raise ConfigError(f"{kind} {name!r}: {path} is not Python: {error}") from None
     except OSError as error:
         raise ConfigError(f"cannot read {path} (named by {name!r}): {error.strerror}") from error
-    return tree
-
-
-def _top_level(tree: ast.Module) -> set[str]:
-    """Names that the file defines, assigns or imports outside functions and classes, also under `if` and `try`."""
-    names: set[str] = set()
-    nodes: list[ast.AST] = [tree]
-    while nodes:
-        node = nodes.pop()
-        match node:
-            case ast.FunctionDef() | ast.AsyncFunctionDef() | ast.ClassDef():
-                names.add(node.name)
-                continue
-            case ast.Name(ctx=ast.Store()):
-                names.add(node.id)
-            case ast.alias():
-                names.add((node.asname or node.name).partition(".")[0])
-        nodes.extend(ast.iter_child_nodes(node))
-    return names
+    names = {symbol.get_name() for symbol in table.get_symbols() if symbol.is_assigned() or symbol.is_imported()}
+    if attribute not in names and "__getattr__" not in names and ("*",) not in code.co_consts:
+        raise ConfigError(f"{kind} {name!r}: {path} defines no {attribute!r}{nearest(attribute, names)}")
 
 
 def source_digest(name: str) -> str | None:
-    """Sha-256 of the user's file behind `file.py:attribute`; None for a name of ours.
+    """`file_digest` of the user's file behind `file.py:attribute`; None for a name of ours.
 
     What that file imports from elsewhere is not part of it: a prior or learner is one self-contained file.
-
-    Raises:
-        ConfigError: the file cannot be read.
     """
-    if not is_file_reference(name):
-        return None
-    return file_digest(Path(name.rpartition(":")[0]), name)
+    return file_digest(Path(name.rpartition(":")[0]), name) if is_file_reference(name) else None
 
 
 def file_digest(path: Path, name: str) -> str:
-    """Sha-256 of a file of the user's; `name` is what they called it by.
-
-    Raises:
-        ConfigError: it cannot be read.
-    """
+    """Sha-256 of a file of the user's; `name` is what they called it by."""
     path = place(path)
     try:
         if path.exists() and not path.is_file():  # a device may have no end

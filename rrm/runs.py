@@ -80,12 +80,7 @@ def load(folder: str | Path) -> Finished:
 
 
 class Finished:
-    """What a finished run has learned.
-
-    Args:
-        config: of the run.
-        folder: that holds its networks; runs that it started from lie beside it.
-    """
+    """What a finished run has learned; the runs that it started from lie beside its folder."""
 
     def __init__(self, config: RunConfig, folder: Path) -> None:
         self.config = config
@@ -113,11 +108,7 @@ class Finished:
 
     @cached_property
     def reward(self) -> RewardFunction:
-        """The learned reward.
-
-        Raises:
-            ConfigError: the run learned none.
-        """
+        """The learned reward; a `ConfigError` where the run learned none."""
         if not self.config.reward.kind.learned:
             raise ConfigError(f"{self._folder} holds no learned reward: the method is {self.config.method}")
         reward = build_reward(self.config, Streams(self.config.seed))
@@ -135,13 +126,9 @@ class Finished:
 
 
 class LearnedReward(gymnasium.Wrapper[Floats, Floats, Floats, Floats]):
-    """An environment that pays what a run has learned, for anybody's training loop.
+    """An environment of the run's task that pays what the run has learned, for anybody's training loop.
 
     `info["true_reward"]` is the environment's own.
-
-    Args:
-        env: of the run's task.
-        run: one that learned a reward.
     """
 
     def __init__(self, env: Env, run: Finished) -> None:
@@ -181,11 +168,9 @@ class _Listener:
         self.rows[row.step] = row
         self._on_row(row)
 
-    def beat(self, step: int, steps_per_s: float) -> None:
-        """Nobody watches."""
+    def beat(self, step: int, steps_per_s: float) -> None: ...
 
-    def note(self, message: str) -> None:
-        """Nobody reads."""
+    def note(self, message: str) -> None: ...
 
     def should_stop(self) -> bool:
         return False
@@ -196,8 +181,8 @@ class _Listener:
 
 def _read(path: Path) -> RunConfig:
     try:
-        told = json.loads(read_bounded(path, _LARGEST_CONFIG))
-        return RunConfig.model_validate({name: told[name] for name in RunConfig.model_fields if name in told})
+        stored = json.loads(read_bounded(path, _LARGEST_CONFIG))
+        return RunConfig.model_validate({name: stored[name] for name in RunConfig.model_fields if name in stored})
     except (OSError, ValueError, AttributeError, TypeError) as error:
         raise ConfigError(f"{path} is not the configuration of a run: {error}") from error
 

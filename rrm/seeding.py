@@ -24,8 +24,7 @@ if TYPE_CHECKING:
 
 
 def _entropy(seed: int, name: str) -> list[int]:
-    digest = hashlib.sha256(name.encode()).digest()
-    return [seed, int.from_bytes(digest[:8], "little")]
+    return [seed, int.from_bytes(hashlib.sha256(name.encode()).digest()[:8], "little")]
 
 
 def evaluation_seed(seed: int, step: int, episode: int) -> int:
@@ -38,7 +37,6 @@ class Streams:
     """The random streams of one run, made on first use and saved together."""
 
     def __init__(self, seed: int) -> None:
-        """Args: seed: the run's seed, a non-negative integer."""
         if seed < 0:
             raise ValueError(f"seed is {seed}; seeds are integers from 0 up")
         self._seed = seed
@@ -63,14 +61,12 @@ class Streams:
         return self._torch[name]
 
     def state_dict(self) -> State:
-        """Every stream that has been used."""
         return {
             "numpy": {name: g.bit_generator.state for name, g in self._numpy.items()},
             "torch": {name: g.get_state() for name, g in self._torch.items()},
         }
 
     def load_state_dict(self, state: State) -> None:
-        """Put every saved stream back where it was."""
         for name, saved in state["numpy"].items():
             self.numpy(name).bit_generator.state = saved
         for name, saved in state["torch"].items():

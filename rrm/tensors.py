@@ -20,40 +20,31 @@ Arrays = Mapping[str, np.ndarray[Any, Any]]
 _CHECKSUM = "$crc32"  #: key of the checksum in the object
 
 
-def encode(arrays: Arrays, entry: str, told: Mapping[str, Any]) -> bytes:
-    """The bytes of the file.
-
-    Args:
-        entry: name of the object in the header.
-        told: the object.
-    """
-    sealed = {**told, _CHECKSUM: _checksum(arrays, told)}
+def pack(arrays: Arrays, entry: str, content: Mapping[str, Any]) -> bytes:
+    """The bytes of the file; `entry` is the name of the object `content` in its header."""
+    sealed = {**content, _CHECKSUM: _checksum(arrays, content)}
     return safetensors.numpy.save(dict(arrays), {entry: json.dumps(sealed)})
 
 
-def decode(data: bytes, entry: str) -> tuple[dict[str, np.ndarray[Any, Any]], dict[str, Any]]:
-    """The tensors and the object that `encode` was given.
-
-    Raises:
-        ValueError: the bytes are no such file, or damaged.
-    """
+def unpack(data: bytes, entry: str) -> tuple[dict[str, np.ndarray[Any, Any]], dict[str, Any]]:
+    """The tensors and the object that `pack` was given; a `ValueError` where the bytes are no such file."""
     try:
         arrays = safetensors.numpy.load(data)
         header = int.from_bytes(data[:8], "little")
-        told = json.loads(json.loads(data[8 : 8 + header])["__metadata__"][entry])
+        content = json.loads(json.loads(data[8 : 8 + header])["__metadata__"][entry])
     except (safetensors.SafetensorError, KeyError, TypeError, RecursionError) as error:
         raise ValueError(str(error)) from error
-    if not isinstance(told, dict):
+    if not isinstance(content, dict):
         raise ValueError(f"{entry} is no object")
-    checksum = told.pop(_CHECKSUM, None)
-    if checksum is not None and checksum != _checksum(arrays, told):
+    checksum = content.pop(_CHECKSUM, None)
+    if checksum is not None and checksum != _checksum(arrays, content):
         raise ValueError("its content does not match its checksum")
-    return arrays, told
+    return arrays, content
 
 
-def _checksum(arrays: Arrays, told: Mapping[str, Any]) -> int:
+def _checksum(arrays: Arrays, content: Mapping[str, Any]) -> int:
     """CRC-32 over the object, and over names, types, shapes and values of the tensors."""
-    crc = zlib.crc32(json.dumps(told, sort_keys=True).encode())
+    crc = zlib.crc32(json.dumps(content, sort_keys=True).encode())
     for name, array in sorted(arrays.items()):
         crc = zlib.crc32(f"{name} {array.dtype.str} {array.shape}".encode(), crc)
         crc = zlib.crc32(array.tobytes(), crc)

@@ -25,8 +25,8 @@ def loads(text: str) -> dict[str, Any]:
         NestingError: with the line, where it is a key's.
         ValueError: it is not TOML; the message says why, with line and column.
     """
-    if found := _CHAIN.search(text):
-        line = text.count("\n", 0, found.start()) + 1
+    if chain := _CHAIN.search(text):
+        line = text.count("\n", 0, chain.start()) + 1
         raise NestingError(f"nested too deeply: a key of more than {DEEPEST} parts in line {line}")
     try:
         return tomllib.loads(text)

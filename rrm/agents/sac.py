@@ -36,7 +36,7 @@ tanh_backward = torch.ops.aten.tanh_backward
 
 LOG_STD_MIN, LOG_STD_MAX = -5.0, 2.0
 _HALF_RANGE = 0.5 * (LOG_STD_MAX - LOG_STD_MIN)
-_FIGURES = ("critic_loss", "actor_loss", "entropy", "alpha")
+_FIGURES = ("critic_loss", "actor_loss", "entropy", "alpha")  #: entropy in nats
 
 
 def _log_std(squash: Tensor) -> Tensor:
@@ -95,25 +95,15 @@ class _Workspace:
         self.actor = actor.tape(2 * batch)
         self.critic = critic.tape(batch)
 
-    def fill(self, batch: Batch) -> None:
-        """Take in a batch, all but the sampled actions."""
-        obs_dim = self.obs.shape[1]
-        self.following[:, :obs_dim].copy_(batch.next_obs)
-        self.imagined[:, :obs_dim].copy_(batch.obs)
-        self.taken[:, :obs_dim].copy_(batch.obs)
-        self.taken[:, obs_dim:].copy_(batch.act)
-
 
 class Sac:
     """An `rrm.interfaces.Agent`.
 
     Args:
-        config: sizes, step sizes, discount and target rate.
         spaces: of observations and actions; frames are not looked at.
         streams: `init` draws weights, `agent` the noise of updates, `explore` the noise of actions taken, `lookahead`
             that of targets somebody else asks for.
         precision: of products between hidden layers (`rrm.nets.precision`).
-        device: where everything is computed.
     """
 
     def __init__(
@@ -144,20 +134,21 @@ class Sac:
         self.target.flat.copy_(self.critic.flat)
         self.log_alpha = torch.full((1,), math.log(config.initial_alpha), device=device)
         self._log_alpha_grad = torch.zeros_like(self.log_alpha)
-        self._actor_adam = FlatAdam(self.actor.flat, self.actor.flat_grad, config.actor_lr)
-        self._critic_adam = FlatAdam(self.critic.flat, self.critic.flat_grad, config.critic_lr)
-        self._alpha_adam = FlatAdam(self.log_alpha, self._log_alpha_grad, config.alpha_lr)
-        self._figures = torch.full((4,), math.nan, device=device)  #: in the order of _FIGURES
+        self._figures = torch.full((4,), math.nan, device=device)  # in the order of _FIGURES
+        self._adams = {
+            "actor": FlatAdam(self.actor.flat, self.actor.flat_grad, config.actor_lr),
+            "critic": FlatAdam(self.critic.flat, self.critic.flat_grad, config.critic_lr),
+            "alpha": FlatAdam(self.log_alpha, self._log_alpha_grad, config.alpha_lr),
+        }
+        self._tensors = {
+            "actor": self.actor.flat, "critic": self.critic.flat, "target": self.target.flat,
+            "log_alpha": self.log_alpha, "figures": self._figures,
+        }  # fmt: skip
         self._acting = self.actor.tape(1)
         self._space = _Workspace(self.actor, self.critic, config.batch)
 
     @torch.no_grad()
     def act(self, obs: Obs, *, explore: bool) -> Floats:
-        """Action float32 [A] in [-1, 1] for one observation.
-
-        Raises:
-            NumericalError: the action is not finite, because the observation is not or because training diverged.
-        """
         row = torch.tensor(obs.state, dtype=torch.float32, device=self.actor.flat.device).unsqueeze(0)
         head = self.actor.forward(row, self._acting)[0]
         if explore:
@@ -176,7 +167,6 @@ class Sac:
 
     @torch.no_grad()
     def log_prob(self, obs: Tensor, act: Tensor) -> Tensor:
-        """Log density of any actions [B, A] under the policy as it is at obs [B, O]; float32 [B], nats, finite."""
         mean, raw = self.actor(obs)[0].chunk(2)
         log_std = _log_std(torch.tanh(raw))
         pre_tanh = torch.atanh(act.t().clamp(-_LARGEST, _LARGEST))
@@ -187,27 +177,24 @@ class Sac:
         """One step of critic, actor and temperature; the target follows every second time, the first included."""
         if len(self._space.taken) != len(batch.reward):
             self._space = _Workspace(self.actor, self.critic, len(batch.reward))
-        alpha = self.log_alpha.exp()
-        sample, log_prob = self._sample(batch)
+        alpha, space, obs_dim = self.log_alpha.exp(), self._space, self.obs_dim
+        space.following[:, :obs_dim].copy_(batch.next_obs)
+        space.imagined[:, :obs_dim].copy_(batch.obs)
+        space.taken[:, :obs_dim].copy_(batch.obs)
+        space.taken[:, obs_dim:].copy_(batch.act)
+        # One pass samples for the next observations and the present ones: the actor changes only after either was used.
+        sample = _Sample(self.actor.forward(space.obs, space.actor)[0], space.noise.normal_(generator=self._noise))
+        space.sampled.copy_(sample.act)
+        log_prob = sample.log_prob()
         critic_loss = self._update_critic(batch, log_prob, alpha)
         actor_loss, entropy = self._update_actor(sample, log_prob, alpha)
-        self._update_alpha(entropy, alpha)
+        # The loss of the temperature is alpha * (entropy - target), with target -A: its gradient in log alpha, too.
+        torch.mul(alpha, entropy + self.act_dim, out=self._log_alpha_grad)
+        self._adams["alpha"].step()
         if self.updates % self.config.target_every == 0:
             self.target.flat.lerp_(self.critic.flat, self.config.tau)
         torch.stack((critic_loss, actor_loss, entropy, alpha.squeeze()), out=self._figures)
         self.updates += 1
-
-    def _sample(self, batch: Batch) -> tuple[_Sample, Tensor]:
-        """Actions for the next observations and the present ones, with their log densities, both in this order.
-
-        One pass serves both: the actor changes only after either was used.
-        """
-        space = self._space
-        space.fill(batch)
-        head = self.actor.forward(space.obs, space.actor)[0]
-        sample = _Sample(head, space.noise.normal_(generator=self._noise))
-        space.sampled.copy_(sample.act)
-        return sample, sample.log_prob()
 
     def _update_critic(self, batch: Batch, log_prob: Tensor, alpha: Tensor) -> Tensor:
         """Regress both critics on the soft value of the next state; returns the sum of their mean squared errors."""
@@ -217,7 +204,7 @@ class Sac:
         q_target = batch.reward.addcmul(batch.continues, value, value=self.config.discount)
         error = self.critic.forward(space.taken, space.critic).squeeze(1) - q_target
         self.critic.backward_params((error * (2 / len(q_target))).unsqueeze(1), space.critic)
-        self._critic_adam.step()
+        self._adams["critic"].step()
         return error.square().sum() / len(q_target)
 
     def _update_actor(self, sample: _Sample, log_prob: Tensor, alpha: Tensor) -> tuple[Tensor, Tensor]:
@@ -229,36 +216,22 @@ class Sac:
         grad_act = self.critic.backward_inputs(grad_q, space.critic, slice(self.obs_dim, None))
         grad_head = sample.backward(grad_act.sum(dim=0), -share * alpha, space.rows)
         self.actor.backward_params(grad_head.unsqueeze(0), space.actor.second_half())
-        self._actor_adam.step()
+        self._adams["actor"].step()
         entropy = -log_prob[space.rows].mean()
         return -alpha.squeeze() * entropy - torch.minimum(q[0], q[1]).mean(), entropy
 
-    def _update_alpha(self, entropy: Tensor, alpha: Tensor) -> None:
-        """The loss alpha * (entropy - target entropy), with target -A; its gradient in log alpha equals the loss."""
-        torch.mul(alpha, entropy + self.act_dim, out=self._log_alpha_grad)
-        self._alpha_adam.step()
-
     def reset_critic(self) -> None:
-        """Fresh critic, target and critic optimiser; actor and temperature stay (PEBBLE's first session)."""
         self.critic.initialise(self._init)
         self.target.flat.copy_(self.critic.flat)
-        self._critic_adam.reset()
+        self._adams["critic"].reset()
 
     def q_values(self, obs: Tensor, act: Tensor, params: Sequence[Tensor] | None = None) -> Tensor:
-        """What both critics say of obs [B, O] and act [B, A], float32 [2, B], differentiable.
-
-        Args:
-            obs, act: observations and actions.
-            params: in place of `critic.parameters()`, for learners that look one step of the critic ahead.
-        """
         return self.critic.plain(torch.cat((obs, act), dim=-1), params).squeeze(1)
 
     def critic_parameters(self) -> list[Tensor]:
-        """Leaves of autograd that share memory with both critics, in the order `q_values` takes them."""
         return self.critic.parameters()
 
     def q_target(self, batch: Batch) -> Tensor:
-        """What the critics are regressed on, float32 [B], differentiable in the batch's reward alone."""
         with torch.no_grad():
             noise = torch.randn(self.act_dim, len(batch.next_obs), generator=self._lookahead, device=self._noise.device)
             sample = _Sample(self.actor(batch.next_obs)[0], noise)
@@ -267,35 +240,24 @@ class Sac:
         return batch.reward + self.config.discount * batch.continues * value
 
     def figures(self) -> dict[str, float]:
-        """`critic_loss`, `actor_loss`, `entropy` (nats) and `alpha` of the last update; NaN before the first.
-
-        Raises:
-            NumericalError: one of them is not finite.
-        """
         figures = dict(zip(_FIGURES, self._figures.tolist(), strict=True))
         if self.updates and not all(map(math.isfinite, figures.values())):
             raise NumericalError(f"a figure of the agent is not finite: {figures}")
         return figures
 
     def weights(self) -> State:
-        """Of actor and critics."""
         return {"actor": self.actor.flat, "critic": self.critic.flat}
 
     def state_dict(self) -> State:
-        """Networks, optimisers, temperature, target, counter and the figures of the last update."""
         return {
             "updates": self.updates,
-            "tensors": {name: tensor.clone() for name, tensor in self._tensors().items()},
-            "optimisers": {name: adam.state_dict() for name, adam in self._optimisers().items()},
+            "tensors": {name: tensor.clone() for name, tensor in self._tensors.items()},
+            "optimisers": {name: adam.state_dict() for name, adam in self._adams.items()},
         }
 
     def load_state_dict(self, state: State) -> None:
-        """Continue where `state_dict` was taken; the streams are restored by whoever owns them.
-
-        Raises:
-            CheckpointError: the state is of an agent with other sizes.
-        """
-        for name, tensor in self._tensors().items():
+        """Continue where `state_dict` was taken; the streams are restored by whoever owns them."""
+        for name, tensor in self._tensors.items():
             saved = state["tensors"][name]
             if saved.shape != tensor.shape:
                 raise CheckpointError(
@@ -303,18 +265,6 @@ class Sac:
                     "load it with the configuration and task it was trained with"
                 )
             tensor.copy_(saved)
-        for name, adam in self._optimisers().items():
+        for name, adam in self._adams.items():
             adam.load_state_dict(state["optimisers"][name])
         self.updates = state["updates"]
-
-    def _tensors(self) -> dict[str, Tensor]:
-        return {
-            "actor": self.actor.flat,
-            "critic": self.critic.flat,
-            "target": self.target.flat,
-            "log_alpha": self.log_alpha,
-            "figures": self._figures,
-        }
-
-    def _optimisers(self) -> dict[str, FlatAdam]:
-        return {"actor": self._actor_adam, "critic": self._critic_adam, "alpha": self._alpha_adam}

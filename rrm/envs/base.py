@@ -28,9 +28,7 @@ class TaskEnv(gymnasium.Env[Floats, Floats]):
     """An environment that satisfies `rrm.interfaces.Env`; episodes end at the horizon, by truncation, never earlier.
 
     Args:
-        low, high: bounds of the observation, broadcast to `obs_dim`.
-        obs_dim, act_dim: lengths of the observation and the action vector; actions lie in [-1, 1].
-        horizon: steps of an episode, at least 1.
+        low, high: bounds of the observation, broadcast to `obs_dim`; actions lie in [-1, 1].
         render_mode: one of the class' `metadata["render_modes"]`, or None.
     """
 
@@ -49,8 +47,8 @@ class TaskEnv(gymnasium.Env[Floats, Floats]):
         if horizon < 1:
             raise ConfigError(f"horizon is {horizon}; an episode has at least one step")
         if render_mode is not None and render_mode not in self.metadata["render_modes"]:
-            known = ", ".join(self.metadata["render_modes"]) or "none"
-            raise ConfigError(f'render_mode "{render_mode}" is not one of {type(self).__name__}; it has: {known}')
+            modes = ", ".join(self.metadata["render_modes"]) or "none"
+            raise ConfigError(f'render_mode "{render_mode}" is not one of {type(self).__name__}; it has: {modes}')
         lowest, highest = (np.broadcast_to(np.asarray(bound, np.float32), obs_dim) for bound in (low, high))
         self.observation_space: Box[np.float32] = Box(lowest, highest, dtype=np.float32)
         self.action_space: Box[np.float32] = Box(-1.0, 1.0, (act_dim,), dtype=np.float32)
@@ -83,14 +81,17 @@ class TaskEnv(gymnasium.Env[Floats, Floats]):
     def step(self, action: Floats) -> tuple[Floats, float, bool, bool, dict[str, Any]]:
         """One step; an action beyond [-1, 1] counts as the nearest one inside.
 
-        Raises:
-            NumericalError: the action holds a NaN or an infinity, or the simulation diverged.
-            ResetNeeded: there is no episode, or it is over.
-            ValueError: the action has another shape.
+        A `NumericalError` says that the action is not finite, or that the simulation diverged.
         """
         if self._steps is None or self._steps >= self.horizon:
             raise ResetNeeded("the episode has not begun or is over; call reset() before step()")
-        obs, reward, info = self._advance(self._checked(action))
+        act = np.asarray(action, dtype=np.float64)
+        if act.shape != self.action_space.shape:
+            raise ValueError(f"an action has shape {self.action_space.shape}; this one has {act.shape}")
+        # A simulator might not refuse it: Meta-World's restarts its physics and goes on with a meaningless state.
+        if not np.isfinite(act).all():
+            raise NumericalError(f"action {act.tolist()} at step {self._steps} of the episode is not finite")
+        obs, reward, info = self._advance(np.minimum(np.maximum(act, -1.0), 1.0))
         self._steps += 1
         return np.array(obs, dtype=np.float32), float(reward), False, self._steps >= self.horizon, info
 
@@ -111,13 +112,3 @@ class TaskEnv(gymnasium.Env[Floats, Floats]):
         self._steps = state["steps"]
         # Last, because restoring a simulator may go through a reset that draws.
         self.np_random.bit_generator.state = state["rng"]
-
-    def _checked(self, action: Floats) -> Doubles:
-        act = np.asarray(action, dtype=np.float64)
-        if act.shape != self.action_space.shape:
-            raise ValueError(f"an action has shape {self.action_space.shape}; this one has {act.shape}")
-        # A simulator might not refuse it: Meta-World's restarts its physics and goes on with a meaningless state.
-        if not np.isfinite(act).all():
-            raise NumericalError(f"action {act.tolist()} at step {self._steps} of the episode is not finite")
-        inside: Doubles = np.minimum(np.maximum(act, -1.0), 1.0)
-        return inside

@@ -42,16 +42,7 @@ _OUTCOMES: dict[str, dict[str, Callable[[Any], float]]] = {
 
 
 class DmcEnv(TaskEnv):
-    """A task of the suite, with episodes of 1000 steps.
-
-    Args:
-        domain, task: the suite's names, such as "walker" and "walk".
-        horizon: steps of an episode, at most 1000.
-        render_mode: none is offered.
-
-    Raises:
-        ConfigError: the suite has no such task, or no such horizon.
-    """
+    """A task of the suite by its names, such as "walker" and "walk"; episodes have 1000 steps at the most."""
 
     def __init__(self, domain: str, task: str, horizon: int = _LONGEST, render_mode: str | None = None) -> None:
         if (domain, task) not in suite.ALL_TASKS:
@@ -63,14 +54,12 @@ class DmcEnv(TaskEnv):
         actions = self.sim.action_spec()
         self._middle = (actions.maximum + actions.minimum) / 2
         self._half = (actions.maximum - actions.minimum) / 2
-        super().__init__(
-            -MUJOCO_BOUND,
-            MUJOCO_BOUND,
-            obs_dim=_observation_length(self.sim),
-            act_dim=actions.shape[0],
-            horizon=horizon,
-            render_mode=render_mode,
-        )
+        with warnings.catch_warnings():
+            # The quadruped looks its sensors up by `np.in1d` the first time it is asked, and remembers them.
+            warnings.simplefilter("ignore", DeprecationWarning)
+            obs_dim = sum(int(np.prod(spec.shape)) for spec in self.sim.observation_spec().values())
+        sizes = {"obs_dim": obs_dim, "act_dim": actions.shape[0], "horizon": horizon}
+        super().__init__(-MUJOCO_BOUND, MUJOCO_BOUND, **sizes, render_mode=render_mode)
 
     def _begin(self) -> Doubles:
         self.sim.task.random.seed(int(self.np_random.integers(2**32)))
@@ -106,10 +95,3 @@ class DmcEnv(TaskEnv):
 
 def _flat(observation: Mapping[str, Doubles]) -> Doubles:
     return np.concatenate([np.ravel(part) for part in observation.values()])
-
-
-def _observation_length(sim: Any) -> int:
-    with warnings.catch_warnings():
-        # The quadruped looks its sensors up by `np.in1d` the first time it is asked, and remembers them.
-        warnings.simplefilter("ignore", DeprecationWarning)
-        return sum(int(np.prod(spec.shape)) for spec in sim.observation_spec().values())

@@ -11,6 +11,8 @@ library's too, as floats.
 
 from __future__ import annotations
 
+import warnings
+from collections.abc import Callable
 from typing import Any
 
 import metaworld.env_dict
@@ -19,8 +21,9 @@ import numpy as np
 from metaworld.sawyer_xyz_env import SawyerXYZEnv
 
 from rrm.envs.base import MUJOCO_BOUND, Doubles, TaskEnv
+from rrm.envs.tasks import task as task_of
 from rrm.errors import ConfigError, NumericalError, UnknownNameError
-from rrm.types import State
+from rrm.types import Floats, State
 
 #: Everything that integration depends on, the solver's warm start included.
 _SPEC = mujoco.mjtState.mjSTATE_INTEGRATION
@@ -28,16 +31,7 @@ _LONGEST = int(SawyerXYZEnv.max_path_length)
 
 
 class MetaWorldEnv(TaskEnv):
-    """One of Meta-World's tasks: 39 numbers in, 4 out (hand velocity in x, y, z; gripper effort).
-
-    Args:
-        task: Meta-World's name, such as "button-press-v3".
-        horizon: steps of an episode, at most 500.
-        render_mode: none is offered.
-
-    Raises:
-        UnknownNameError, ConfigError: no such task, or no such horizon.
-    """
+    """A task by its name there, "button-press-v3": 39 numbers in, 4 out (hand velocity in x, y, z; gripper effort)."""
 
     def __init__(self, task: str, horizon: int = _LONGEST, render_mode: str | None = None) -> None:
         super().__init__(
@@ -45,7 +39,15 @@ class MetaWorldEnv(TaskEnv):
         )  # fmt: skip
         if horizon > _LONGEST:
             raise ConfigError(f"horizon is {horizon}; Meta-World's episodes have {_LONGEST} steps at the most")
-        self.sim = _simulator(task)
+        classes: Any = metaworld.env_dict.ALL_V3_ENVIRONMENTS
+        if task not in classes:
+            raise UnknownNameError("Meta-World task", task, classes)
+        self.sim = classes[task]()
+        self.sim._set_task_called = True  # step() refuses to run otherwise
+        self.sim._partially_observable = False
+        # The cached space has the hidden goal's bounds, zero and zero, to which every step's observation is clipped.
+        self.sim.__dict__.pop("sawyer_observation_space", None)
+        self.sim._freeze_rand_vec = True
         self._task = task
         self._vector = np.zeros(0)
 
@@ -100,14 +102,19 @@ class MetaWorldEnv(TaskEnv):
         self.sim.close()
 
 
-def _simulator(task: str) -> Any:
-    classes = metaworld.env_dict.ALL_V3_ENVIRONMENTS
-    if task not in classes:
-        raise UnknownNameError("Meta-World task", task, classes)
-    sim = classes[task]()
-    sim._set_task_called = True  # step() refuses to run otherwise
-    sim._partially_observable = False
-    # The cached space still has the hidden goal's bounds, zero and zero, to which every step's observation is clipped.
-    sim.__dict__.pop("sawyer_observation_space", None)
-    sim._freeze_rand_vec = True
-    return sim
+def scripted_policy(name: str) -> Callable[[Floats], Floats]:
+    """The policy that Meta-World ships for a task: from observation to action, both float32; actions may exceed 1."""
+    spec = task_of(name)
+    if spec.suite != "metaworld":
+        raise ConfigError(
+            f"{name} has no scripted policy: only Meta-World ships them, and this is of suite {spec.suite}"
+        )
+    from metaworld.policies import ENV_POLICY_MAP
+
+    policy: Any = ENV_POLICY_MAP[spec.kwargs["task"]]()  # type: ignore[abstract]  # each entry is a finished class
+
+    def act(obs: Floats) -> Floats:
+        with warnings.catch_warnings(action="ignore", category=UserWarning):  # that actions exceed 1, as is said here
+            return np.asarray(policy.get_action(obs.astype(np.float64)), np.float32)
+
+    return act

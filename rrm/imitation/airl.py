@@ -15,8 +15,7 @@ import torch
 from torch import Tensor
 
 from rrm.config import ImitationConfig
-from rrm.imitation.discriminator import Discriminator
-from rrm.imitation.networks import RewardNet
+from rrm.imitation.discriminator import Discriminator, RewardNet
 from rrm.moments import RunningMoments
 from rrm.types import Batch, State
 
@@ -36,11 +35,8 @@ class Airl:
     """Demonstrations, discriminator, and the reward they make.
 
     Args:
-        config: the discriminator and when it is trained.
-        demos: of the expert.
         discount: of the agent.
         streams: `imitation-init` draws weights, `imitation` the minibatches.
-        precision: of products between hidden layers.
         log: told of every gradient step: the loss' name, and the norm of the gradient in g's weights.
     """
 
@@ -67,11 +63,7 @@ class Airl:
         self._kept: State | None = None
 
     def train(self, draw: Draw, agent: StochasticAgent) -> None:
-        """One round of gradient steps against the policy as it is.
-
-        Raises:
-            NumericalError: the loss is not finite.
-        """
+        """One round of gradient steps against the policy as it is."""
         for _ in range(self.config.updates):
             rows = torch.randint(len(self._expert.obs), (self.config.minibatch,), generator=self._generator)
             expert = Batch(*(column[rows] for column in self._expert if column is not None))
@@ -86,27 +78,21 @@ class Airl:
         raw = self._raw(batch)
         values = raw.double()
         self._scale.add(float(values.mean()), float(values.var(correction=0)), len(values))
-        return raw / self._deviation
+        return raw / (self._scale.std or 1.0)
 
     def look(self, batch: Batch) -> Tensor:
         """The reward of these transitions at this moment, float32 [B]; nothing is learned from looking."""
-        return self._raw(batch) / self._deviation
+        return self._raw(batch) / (self._scale.std or 1.0)
 
     def _raw(self, batch: Batch) -> Tensor:
         if self.config.pretrain == "mse":
             return self.discriminator.g.predict(batch.obs, batch.act)
         return self.discriminator.f(batch)
 
-    @property
-    def _deviation(self) -> float:
-        return self._scale.std or 1.0
-
     def keep(self, step: int, success: float, true_return: float, newest: Batch) -> None:
-        """Keep g as it is, unless an earlier evaluation was better.
+        """Keep g as it is, unless an earlier evaluation was better; the return decides where success is NaN.
 
-        Args:
-            success, true_return: of the evaluation; the return decides where success is NaN.
-            newest: transitions of the policy, on which the range of g is recorded, as on the demonstrations.
+        The range of g is recorded on the demonstrations and on the policy's `newest` transitions.
         """
         score = true_return if math.isnan(success) else success
         if self._kept is not None and self._kept["score"] > score:
@@ -123,15 +109,12 @@ class Airl:
         assert self._kept is not None  # the last step of a run is evaluated
         shape: dict[str, Any] = {name: getattr(self.config, name) for name in ("hidden", "layers", "head")}
         obs_dim, act_dim = self._sizes
-        told = {"shape": shape, "obs_dim": obs_dim, "act_dim": act_dim, "demonstrations": self._summary}
-        return {**told, **{name: value for name, value in self._kept.items() if name != "score"}}
+        kept = {name: value for name, value in self._kept.items() if name != "score"}
+        return {"shape": shape, "obs_dim": obs_dim, "act_dim": act_dim, "demonstrations": self._summary, **kept}
 
     def state_dict(self) -> State:
-        return {
-            "discriminator": self.discriminator.state_dict(),
-            "scale": self._scale.state_dict(),
-            "kept": self._kept,
-        }
+        scale = self._scale.state_dict()
+        return {"discriminator": self.discriminator.state_dict(), "scale": scale, "kept": self._kept}
 
     def load_state_dict(self, state: State) -> None:
         self.discriminator.load_state_dict(state["discriminator"])

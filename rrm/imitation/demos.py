@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from rrm.envs.tasks import Task
     from rrm.types import Floats
 
-FORMAT = "rrm-demonstrations-1"
+DEMOS_FORMAT = "rrm-demonstrations-1"
 _ENTRY = "demonstrations"
 _LARGEST = 2**34  # bytes
 
@@ -52,17 +52,15 @@ class Demonstrations:
 
     def summary(self) -> dict[str, Any]:
         """For people and for what is made of them: provenance, sizes, and how good they are."""
-        known = None if np.isnan(self.success) else self.success
-        return {
-            **self.provenance, "episodes": len(self.lengths), "transitions": len(self),
-            "success": known, "true_return": float(self.returns.mean()),
-        }  # fmt: skip
+        success = None if np.isnan(self.success) else self.success
+        sizes = {"episodes": len(self.lengths), "transitions": len(self)}
+        return {**self.provenance, **sizes, "success": success, "true_return": float(self.returns.mean())}
 
     def save(self, path: str | Path) -> None:
         """Write the file, whole or not at all. Raises OSError where there is no room or permission."""
-        told = {"format": FORMAT, "provenance": dict(self.provenance)}
+        header = {"format": DEMOS_FORMAT, "provenance": dict(self.provenance)}
         arrays = {name: np.ascontiguousarray(getattr(self, name)) for name in _KINDS}
-        write_atomically(place(path), tensors.encode(arrays, _ENTRY, told))
+        write_atomically(place(path), tensors.pack(arrays, _ENTRY, header))
 
     @classmethod
     def load(cls, path: str | Path) -> Self:
@@ -70,23 +68,22 @@ class Demonstrations:
 
         Raises:
             DemosError: there is none, it is not one of demonstrations, damaged, or its tensors do not fit together.
-            OSError: it cannot be read now, which says nothing about what it holds.
         """
         try:
-            arrays, told = tensors.decode(read_bounded(place(path), _LARGEST), _ENTRY)
+            arrays, header = tensors.unpack(read_bounded(place(path), _LARGEST), _ENTRY)
         except (FileNotFoundError, NotADirectoryError, UnfitFileError, ValueError) as error:
             raise DemosError(f"{path} cannot be read as demonstrations: {error}") from error
-        provenance = told.get("provenance")
-        if told.get("format") != FORMAT or not isinstance(provenance, dict):
-            raise DemosError(f"{path} is not a file of demonstrations: its header does not say {FORMAT}")
+        provenance = header.get("provenance")
+        if header.get("format") != DEMOS_FORMAT or not isinstance(provenance, dict):
+            raise DemosError(f"{path} is not a file of demonstrations: its header does not say {DEMOS_FORMAT}")
         missing = [name for name in _KINDS if name not in arrays]
         if missing:
             raise DemosError(f"{path} lacks {', '.join(missing)}")
-        found = cls(**{name: arrays[name] for name in _KINDS}, provenance=provenance)
-        problem = found._problem()
+        demos = cls(**{name: arrays[name] for name in _KINDS}, provenance=provenance)
+        problem = demos._problem()
         if problem:
             raise DemosError(f"{path}: {problem}")
-        return found
+        return demos
 
     def _problem(self) -> str | None:
         count, episodes = len(self), len(self.lengths)
@@ -105,14 +102,10 @@ class Demonstrations:
         return "an action lies outside [-1, 1]" if np.abs(self.act).max() > 1 else None
 
     def check(self, task: Task, where: str) -> None:
-        """Refuse demonstrations of another task.
-
-        Raises:
-            DemosError: naming `where` they come from.
-        """
-        told = self.provenance.get("task", task.name)
-        if told != task.name:
-            raise DemosError(f"{where} shows {told}, not {task.name}")
+        """Refuse demonstrations of another task, with a `DemosError` that names `where` they come from."""
+        shown = self.provenance.get("task", task.name)
+        if shown != task.name:
+            raise DemosError(f"{where} shows {shown}, not {task.name}")
         shapes = (self.obs.shape[1], self.act.shape[1])
         if shapes != (task.spaces.obs, task.spaces.act):
             raise DemosError(

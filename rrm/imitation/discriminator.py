@@ -9,28 +9,57 @@ limit does not end the bootstrap. The gradient is written out: its only path is 
 from __future__ import annotations
 
 import torch
-from torch import Tensor
+from torch import Generator, Tensor
 from torch.nn.functional import binary_cross_entropy_with_logits
 
 from rrm.config import ImitationConfig
 from rrm.errors import NumericalError
-from rrm.imitation.networks import RewardNet
 from rrm.nets.adam import FlatAdam
 from rrm.nets.mlp import StackedMLP
 from rrm.precision import Precision
 from rrm.types import Batch, State
 
 
-class Discriminator:
-    """Reward g and shaping h with one optimiser step for both.
+class RewardNet:
+    """g(s, a), which imitation leaves behind: an MLP with a linear head or a bounded one (appendix).
 
-    Args:
-        config: networks, step size, and what g is trained on (`pretrain`).
-        obs_dim, act_dim: of the task.
-        discount: gamma.
-        generator: where the weights are drawn from.
-        precision: of products between hidden layers.
+    Without a generator the weights are zero, to be loaded.
     """
+
+    def __init__(
+        self,
+        config: ImitationConfig,
+        obs_dim: int,
+        act_dim: int,
+        generator: Generator | None,
+        precision: Precision = "float32",
+    ) -> None:
+        self.net = StackedMLP(
+            1, obs_dim + act_dim, config.hidden, config.layers, 1,
+            init="torch", generator=generator, precision=precision,
+        )  # fmt: skip
+        self._bounded = config.head == "tanh"
+
+    def __call__(self, inputs: Tensor) -> Tensor:
+        """Rewards [...] of states and actions side by side, [..., O + A]; differentiable in the weights."""
+        return self.headed(self.net(inputs.flatten(0, -2)).view(inputs.shape[:-1]))
+
+    def headed(self, raw: Tensor) -> Tensor:
+        """The head on the network's outputs."""
+        return torch.tanh(raw) if self._bounded else raw
+
+    def backward_head(self, grad: Tensor, headed: Tensor) -> Tensor:
+        """The gradient in the network's outputs, given that in the rewards."""
+        return grad * (1 - headed.square()) if self._bounded else grad
+
+    @torch.no_grad()
+    def predict(self, obs: Tensor, act: Tensor) -> Tensor:
+        """Rewards float32 [B] of obs [B, O] and act [B, A]."""
+        return self(torch.cat((obs, act), dim=-1))
+
+
+class Discriminator:
+    """Reward g and shaping h with one optimiser step for both; what g is trained on is `config.pretrain`."""
 
     def __init__(
         self,
@@ -39,7 +68,7 @@ class Discriminator:
         act_dim: int,
         discount: float,
         *,
-        generator: torch.Generator,
+        generator: Generator,
         precision: Precision = "float32",
     ) -> None:
         self.config = config
@@ -58,60 +87,40 @@ class Discriminator:
 
     @torch.no_grad()
     def step(self, expert: Batch, policy: Batch, log_prob: Tensor) -> float:
-        """One gradient step on as many expert transitions as policy transitions.
+        """One gradient step on as many expert transitions as policy transitions; returns the norm of g's gradient.
 
         Args:
-            expert, policy: [B] each.
             log_prob: of the expert's actions and then the policy's, under the policy as it is, nats [2 B].
-
-        Returns:
-            The Euclidean norm of the gradient in g's weights.
-
-        Raises:
-            NumericalError: the loss is not finite.
         """
         pairs = [(e, p) for e, p in zip(expert, policy, strict=True) if e is not None and p is not None]
         both = Batch(*(torch.cat(pair) for pair in pairs))
         is_expert = torch.zeros(len(both.obs)).index_fill_(0, torch.arange(len(expert.obs)), 1.0)
-        loss = self._step_airl(both, is_expert, log_prob) if self.config.pretrain == "airl" else (
-            self._step_mse(both, is_expert)
-        )  # fmt: skip
-        if not torch.isfinite(loss):
-            raise NumericalError(f"the loss of the discriminator is {float(loss)}")
-        return float(self.g.net.flat_grad.norm())
-
-    def _step_airl(self, both: Batch, is_expert: Tensor, log_prob: Tensor) -> Tensor:
-        g, h = self.g.net, self.h
-        tapes = g.take_tape(len(both.obs)), h.take_tape(2 * len(both.obs))
-        reward = self.g.headed(g.forward(torch.cat((both.obs, both.act), dim=1), tapes[0])[0, 0])
-        value, value_next = h.forward(torch.cat((both.obs, both.next_obs)), tapes[1])[0, 0].chunk(2)
-        bootstrap = self.discount * both.continues
-        logit = reward + bootstrap * value_next - value - log_prob
-        delta = (torch.sigmoid(logit) - is_expert) / len(logit)
-        g.backward_params(self.g.backward_head(delta, reward).view(1, 1, -1), tapes[0])
-        h.backward_params(torch.cat((-delta, bootstrap * delta)).view(1, 1, -1), tapes[1])
-        for adam, net, tape in zip(self._adams, (g, h), tapes, strict=True):
-            adam.step()
-            net.give_back(tape)
-        return binary_cross_entropy_with_logits(logit, is_expert)
-
-    def _step_mse(self, both: Batch, is_expert: Tensor) -> Tensor:
-        """G alone, pulled to 1 on expert transitions and to 0 on the policy's (the paper's figure on fine-tuning)."""
-        g = self.g.net
-        tape = g.take_tape(len(both.obs))
+        g, h, count = self.g.net, self.h, len(both.obs)
+        tape = g.take_tape(count)
         reward = self.g.headed(g.forward(torch.cat((both.obs, both.act), dim=1), tape)[0, 0])
-        error = reward - is_expert
-        g.backward_params(self.g.backward_head(error * (2 / len(error)), reward).view(1, 1, -1), tape)
+        if self.config.pretrain == "airl":
+            h_tape = h.take_tape(2 * count)
+            value, value_next = h.forward(torch.cat((both.obs, both.next_obs)), h_tape)[0, 0].chunk(2)
+            bootstrap = self.discount * both.continues
+            logit = reward + bootstrap * value_next - value - log_prob
+            delta = (torch.sigmoid(logit) - is_expert) / count
+            loss = binary_cross_entropy_with_logits(logit, is_expert)
+            h.backward_params(torch.cat((-delta, bootstrap * delta)).view(1, 1, -1), h_tape)
+            self._adams[1].step()
+            h.give_back(h_tape)
+        else:  # g alone, pulled to 1 on expert transitions and to 0 on the policy's (the paper's figure on fine-tuning)
+            error = reward - is_expert
+            delta, loss = error * (2 / count), error.square().mean()
+        g.backward_params(self.g.backward_head(delta, reward).view(1, 1, -1), tape)
         self._adams[0].step()
         g.give_back(tape)
-        return error.square().mean()
+        if not torch.isfinite(loss):
+            raise NumericalError(f"the loss of the discriminator is {float(loss)}")
+        return float(g.flat_grad.norm())
 
     def state_dict(self) -> State:
-        return {
-            "g": self.g.net.flat.clone(),
-            "h": self.h.flat.clone(),
-            "optimisers": [adam.state_dict() for adam in self._adams],
-        }
+        optimisers = [adam.state_dict() for adam in self._adams]
+        return {"g": self.g.net.flat.clone(), "h": self.h.flat.clone(), "optimisers": optimisers}
 
     def load_state_dict(self, state: State) -> None:
         self.g.net.flat.copy_(state["g"])

@@ -8,14 +8,15 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from rrm.imitation.networks import RewardNet
+from rrm.imitation.discriminator import RewardNet
 from rrm.parquet import write_table
+from rrm.rewards.ensemble import EnsembleReward
 from rrm.rewards.pebble import Pebble
 from rrm.types import Segments, State
 
@@ -29,47 +30,37 @@ LOSSES = ("airl", "mse", "preferences")
 class GradientLog:
     """Norm of the gradient in g's weights at every gradient step: environment step, loss, norm."""
 
+    _TYPES: ClassVar = {"steps": np.int64, "losses": np.int8, "norms": np.float64}
+
     def __init__(self) -> None:
-        self._steps: list[int] = []
-        self._losses: list[int] = []
-        self._norms: list[float] = []
+        self._columns: dict[str, list[float]] = {name: [] for name in self._TYPES}
 
     def add(self, step: int, loss: str, norm: float) -> None:
         """One more entry; `loss` is one of `LOSSES`."""
-        self._steps.append(step)
-        self._losses.append(LOSSES.index(loss))
-        self._norms.append(norm)
+        for column, value in zip(self._columns.values(), (step, LOSSES.index(loss), norm), strict=True):
+            column.append(value)
 
     def write(self, path: Path) -> None:
         """Replace the parquet file at `path`: columns `step`, `loss` (text) and `gradient_norm`."""
         import pyarrow as pa
 
-        names = pa.DictionaryArray.from_arrays(pa.array(self._losses, pa.int8()), pa.array(LOSSES))
-        columns = {
-            "step": pa.array(self._steps, pa.int64()),
-            "loss": names,
-            "gradient_norm": pa.array(self._norms, pa.float64()),
-        }
-        write_table(path, pa.table(columns), write_page_checksum=True)
+        steps, losses, norms = map(pa.array, self.state_dict().values())
+        names = pa.DictionaryArray.from_arrays(losses, pa.array(LOSSES))
+        table = pa.table({"step": steps, "loss": names, "gradient_norm": norms})
+        write_table(path, table, write_page_checksum=True)
 
     def state_dict(self) -> State:
-        return {
-            "steps": np.array(self._steps, np.int64),
-            "losses": np.array(self._losses, np.int8),
-            "norms": np.array(self._norms, np.float64),
-        }
+        return {name: np.array(values, self._TYPES[name]) for name, values in self._columns.items()}
 
     def load_state_dict(self, state: State) -> None:
-        self._steps = state["steps"].tolist()
-        self._losses = state["losses"].tolist()
-        self._norms = state["norms"].tolist()
+        self._columns = {name: state[name].tolist() for name in self._TYPES}
 
 
-class ImitatedReward:
-    """g as an `rrm.interfaces.RewardFunction`: one member, no prior."""
+class ImitatedReward(EnsembleReward):
+    """g as an ensemble of one member, without a prior."""
 
     def __init__(self, g: RewardNet) -> None:
-        self._g = g
+        self._g, self._net = g, g.net
 
     def members(self, segments: Segments) -> Tensor:
         rewards = self._g(torch.cat([segments.obs, segments.act], dim=-1))
@@ -77,18 +68,6 @@ class ImitatedReward:
 
     def predict(self, obs: Tensor, act: Tensor, prior: Tensor) -> Tensor:  # noqa: ARG002 (the seam of residuals)
         return self._g.predict(obs, act)
-
-    def parameters(self) -> list[Tensor]:
-        return self._g.net.parameters()
-
-    def penalty(self, rewards: Tensor, segments: Segments) -> Tensor:  # noqa: ARG002 (the seam of residuals)
-        return rewards.new_zeros(())
-
-    def state_dict(self) -> State:
-        return {"weights": self._g.net.flat.clone()}
-
-    def load_state_dict(self, state: State) -> None:
-        self._g.net.flat.copy_(state["weights"])
 
 
 class Finetune(Pebble):

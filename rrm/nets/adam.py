@@ -29,23 +29,11 @@ class FlatAdam:
         """One step along the gradient now in the buffer."""
         self._steps += 1
         torch._fused_adam_(
-            [self.param],
-            [self.grad],
-            [self._mean],
-            [self._square],
-            [],
-            [self._steps],
-            lr=self.lr,
-            beta1=0.9,
-            beta2=0.999,
-            weight_decay=0.0,
-            eps=1e-8,
-            amsgrad=False,
-            maximize=False,
-        )
+            [self.param], [self.grad], [self._mean], [self._square], [], [self._steps],
+            lr=self.lr, beta1=0.9, beta2=0.999, weight_decay=0.0, eps=1e-8, amsgrad=False, maximize=False,
+        )  # fmt: skip
 
     def reset(self) -> None:
-        """Forget every gradient seen."""
         for moment in (self._mean, self._square, self._steps):
             moment.zero_()
 
@@ -54,7 +42,6 @@ class FlatAdam:
         return {"mean": self._mean.clone(), "square": self._square.clone(), "steps": self._steps.clone()}
 
     def load_state_dict(self, state: State) -> None:
-        """Continue where `state_dict` was taken."""
         self._mean.copy_(state["mean"])
         self._square.copy_(state["square"])
         self._steps.copy_(state["steps"])

@@ -42,9 +42,8 @@ class Tape:
 
     def second_half(self) -> Tape:
         """The part of a tape of one member that belongs to the second half of the rows; it shares memory."""
-        hidden, deltas = (
-            [each.view(2, -1, each.shape[-1])[1:] for each in group] for group in (self.hidden, self.deltas)
-        )
+        groups = self.hidden, self.deltas
+        hidden, deltas = ([rows.view(2, -1, rows.shape[-1])[1:] for rows in group] for group in groups)
         inputs = self.inputs[:, self.inputs.shape[1] // 2 :]
         return Tape(inputs, hidden, self.outputs.chunk(2, dim=-1)[1], (deltas[0], deltas[1]))
 
@@ -54,7 +53,6 @@ class StackedMLP:
 
     Args:
         members: networks in the stack, N.
-        inputs, hidden, layers, outputs: the shape of each.
         generator: where the initial weights are drawn from, each member as a network of its own; None leaves them zero,
             for a stack that is about to be loaded or copied into.
         activation: of the hidden layers; leaky_relu has slope 0.01.
@@ -89,7 +87,7 @@ class StackedMLP:
         self.flat_grad = torch.zeros_like(self.flat)  #: their gradients, filled by `backward_params`
         self._params = self._windows(self.flat, shapes)
         self._transposed = [_t(p) for p in self._params]
-        self._grads = self._windows(self.flat_grad, shapes)
+        self.grads = self._windows(self.flat_grad, shapes)  #: views in the order and shapes of `parameters()`
         self._spare: tuple[int, Tape] | None = None
         self._leaves = [p.detach().requires_grad_() for p in self._params]
         if generator is not None:
@@ -127,12 +125,9 @@ class StackedMLP:
         def room(*shape: int) -> Tensor:
             return torch.empty(self.members, *shape, device=self.flat.device)
 
-        return Tape(
-            inputs=room(batch, 0),
-            hidden=[room(batch, width) for width in self.widths[1:-1]],
-            outputs=room(self.widths[-1], batch),
-            deltas=(room(batch, max(self.widths[1:-1], default=0)), room(batch, max(self.widths[1:-1], default=0))),
-        )
+        hidden = [room(batch, width) for width in self.widths[1:-1]]
+        widest = max(self.widths[1:-1], default=0)
+        return Tape(room(batch, 0), hidden, room(self.widths[-1], batch), (room(batch, widest), room(batch, widest)))
 
     def take_tape(self, batch: int) -> Tape:
         """The tape given back last, where it is of this size: fresh memory costs as much as a layer."""
@@ -142,10 +137,6 @@ class StackedMLP:
     def give_back(self, tape: Tape) -> None:
         """Let the next call write into this tape."""
         self._spare = (tape.outputs.shape[-1], tape)
-
-    def gradients(self) -> list[Tensor]:
-        """Views into `flat_grad` in the order and shapes of `parameters()`."""
-        return self._grads
 
     def parameters(self) -> list[Tensor]:
         """Leaves for autograd that share memory with `flat`: `[W0, b0, W1, b1, ...]`, W [N, in, out], b [N, 1, out]."""
@@ -163,9 +154,7 @@ class StackedMLP:
     def plain(self, x: Tensor, params: Sequence[Tensor] | None = None) -> Tensor:
         """The same outputs, differentiable in everything and any number of times, in float32.
 
-        Args:
-            x: float32 [B, in], the same for every member, or [N, B, in].
-            params: used in place of the stack's own, same order and shapes as `parameters()`.
+        `params` stand in for the stack's own, in the order and shapes of `parameters()`.
         """
         params = self._leaves if params is None else params
         h = x.expand(self.members, -1, -1)
@@ -193,15 +182,15 @@ class StackedMLP:
         """Overwrite `flat_grad` with a loss' gradient, given its gradient [N, out, B] in the tape's outputs."""
         below = tape.hidden[-1] if tape.hidden else tape.inputs
         with self._outer:
-            torch.bmm(grad, below, out=_t(self._grads[-2]))
-        torch.sum(grad, 2, keepdim=True, out=_t(self._grads[-1]))
+            torch.bmm(grad, below, out=_t(self.grads[-2]))
+        torch.sum(grad, 2, keepdim=True, out=_t(self.grads[-1]))
         grad = _t(grad)
         for layer in reversed(range(len(tape.hidden))):
             grad = self._descend(layer, grad, tape)
             below = tape.hidden[layer - 1] if layer else tape.inputs
             with self._inner if layer else self._outer:
-                torch.bmm(_t(below), grad, out=self._grads[2 * layer])
-            torch.sum(grad, 1, keepdim=True, out=self._grads[2 * layer + 1])
+                torch.bmm(_t(below), grad, out=self.grads[2 * layer])
+            torch.sum(grad, 1, keepdim=True, out=self.grads[2 * layer + 1])
 
     def backward_inputs(self, grad: Tensor, tape: Tape, columns: slice) -> Tensor:
         """Gradient in these columns of the tape's inputs, [N, columns, B], given that in its outputs, [N, out, B]."""
@@ -248,7 +237,7 @@ class _WrittenOut(torch.autograd.Function):
         _ = ctx.saved_tensors
         ctx.net.backward_params(grad, ctx.tape)
         ctx.net.give_back(ctx.tape)
-        return None, None, *(window.clone() for window in ctx.net.gradients())
+        return None, None, *(window.clone() for window in ctx.net.grads)
 
 
 def _t(stack: Tensor) -> Tensor:

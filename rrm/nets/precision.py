@@ -14,8 +14,6 @@ import torch
 from rrm.errors import ConfigError
 
 if TYPE_CHECKING:
-    from types import TracebackType
-
     from rrm.precision import Precision
 
 _TORCH: dict[Precision, str] = {"float32": "highest", "bfloat16": "medium"}
@@ -34,9 +32,7 @@ class Multiplying:
         self._before = torch.get_float32_matmul_precision()
         torch.set_float32_matmul_precision(self._setting)
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         torch.set_float32_matmul_precision(self._before)
 
 
@@ -50,11 +46,7 @@ def rounds(precision: Precision) -> bool:
 
 
 def check_precision(precision: Precision) -> None:
-    """Refuse a precision that this machine would silently not use.
-
-    Raises:
-        ConfigError: bfloat16 was asked for, and torch multiplies in float32 here.
-    """
+    """Refuse a precision that this machine would silently not use: bfloat16, where torch multiplies in float32."""
     if precision == "bfloat16" and not rounds(precision):
         raise ConfigError(
             "precision: this processor has no bfloat16 products that torch would use (x86 needs AMX); "

@@ -13,13 +13,10 @@ from rrm.config import IMITATION
 from rrm.envs.tasks import Task
 from rrm.errors import ConfigError, PriorError, UnknownNameError
 from rrm.priors import language
-from rrm.priors.calling import evaluate_prior
 from rrm.registry import check_file, is_file_reference, lookup
 
 if TYPE_CHECKING:
     from rrm.priors.step import PriorStep
-
-__all__ = ["PRIORS", "check_prior", "evaluate_prior", "load_prior"]
 
 #: Priors by name; a user's own is named `path/to/file.py:function`.
 PRIORS: dict[str, str] = {
@@ -36,14 +33,9 @@ PRIORS: dict[str, str] = {
 
 
 def load_prior(name: str) -> Callable[[PriorStep], float]:
-    """The prior of this name, or the function in a user's file.
-
-    Raises:
-        UnknownNameError, ConfigError: no such prior, file or function, or the file does not import.
-        PriorError: what the file holds under that name cannot be called, or a frozen file's code is refused.
-    """
+    """The prior of this name, or the function in a user's file; an `RrmError` where there is none that can run."""
     if language.is_frozen(name):
-        return language.load(name)
+        return language.load_frozen(name)
     prior: Any = lookup(PRIORS, "prior", name)
     if not callable(prior):
         raise PriorError(f"prior {name!r} is a {type(prior).__name__}; a prior is a function of one PriorStep")
@@ -56,23 +48,17 @@ def check_prior(name: str, task: Task) -> None:
 
     A file of the user's must hold the prior; it is not run here but at the start of the run, in the run's own process.
     A frozen language prior must be within its subset and be written for the task.
-
-    Raises:
-        UnknownNameError, ConfigError, PriorError: with what is known, or what is missing and what would do.
     """
     if language.is_frozen(name):
-        language.check(name, task)
-        return
-    if is_file_reference(name):
+        language.check_frozen(name, task)
+    elif is_file_reference(name):
         check_file(name, "prior")
-        return
-    if name not in PRIORS:
+    elif name not in PRIORS:
         if ".py" in name:
             raise ConfigError(f"prior {name!r}: a prior of your own is named path/to/file.py:function")
         raise UnknownNameError("prior", name, PRIORS)
-    refusal = _refusal(name, task)
-    if refusal:
-        suited = ", ".join(known for known in sorted(PRIORS) if not _refusal(known, task))
+    elif refusal := _refusal(name, task):
+        suited = ", ".join(prior for prior in sorted(PRIORS) if not _refusal(prior, task))
         raise ConfigError(f'prior "{name}" {refusal}. Priors for {task.name}: {suited}')
 
 

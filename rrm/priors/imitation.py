@@ -17,7 +17,6 @@ from rrm.errors import MissingResultError, PriorError
 if TYPE_CHECKING:
     from rrm.envs.tasks import Task
     from rrm.priors.step import PriorStep
-    from rrm.types import State
 
 
 class ImitationPrior:
@@ -27,10 +26,6 @@ class ImitationPrior:
         path: the run's networks.
         task: it must have been trained on this one.
         squash: `tanh` bounds the prior to (-1, 1).
-
-    Raises:
-        MissingResultError: the file is missing or damaged, or no AIRL run wrote it.
-        PriorError: it was trained on another task.
     """
 
     needs: tuple[tuple[str, ...], ...] = ((),)  #: of the features of the task
@@ -38,10 +33,13 @@ class ImitationPrior:
     def __init__(self, path: Path, task: Task, squash: Literal["none", "tanh"] = "none") -> None:
         import torch
 
+        from rrm.checkpoint import read_networks
         from rrm.config import ImitationConfig
-        from rrm.imitation.networks import RewardNet
+        from rrm.imitation.discriminator import RewardNet
 
-        kept = _read(path)
+        kept = read_networks(path, "which holds the imitation prior").get("imitation")
+        if kept is None:
+            raise MissingResultError(f"{path} holds no imitation prior: another kind of run wrote it")
         if kept["task"] != task.name:
             raise PriorError(f"{path} was trained on {kept['task']}, not on {task.name}")
         self._g = RewardNet(ImitationConfig(**kept["shape"]), kept["obs_dim"], kept["act_dim"], None)
@@ -53,17 +51,7 @@ class ImitationPrior:
         """G of the state before the step and the action."""
         import torch
 
-        row = np.concatenate((step.obs, step.act))
-        self._row.copy_(torch.from_numpy(row))
+        self._row.copy_(torch.from_numpy(np.concatenate((step.obs, step.act))))
         with torch.no_grad():
             raw = float(self._g(self._row))
         return math.tanh(raw) if self._squash else raw
-
-
-def _read(path: Path) -> State:
-    from rrm.checkpoint import read_networks
-
-    kept: State | None = read_networks(path, "which holds the imitation prior").get("imitation")
-    if kept is None:
-        raise MissingResultError(f"{path} holds no imitation prior: another kind of run wrote it")
-    return kept

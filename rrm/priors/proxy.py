@@ -16,11 +16,7 @@ Prior = Callable[["PriorStep"], float]
 
 
 def needs(*alternatives: tuple[str, ...]) -> Callable[[Prior], Prior]:
-    """Declare what a prior reads, so that a task which does not reveal it is refused before the run.
-
-    Args:
-        alternatives: names as in `Task.reveals`; all the names of one of the alternatives must be there.
-    """
+    """Declare what a prior reads: all names, as in `Task.reveals`, of one of the alternatives must be revealed."""
 
     def declare(prior: Prior) -> Prior:
         prior.needs = alternatives  # type: ignore[attr-defined]

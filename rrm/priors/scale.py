@@ -7,83 +7,54 @@ main text writes a z-score. Both update with the new value first and then apply.
 
 from __future__ import annotations
 
-from typing import Protocol
+from abc import ABC, abstractmethod
 
 from rrm.errors import UnknownNameError
 from rrm.moments import RunningMoments
 from rrm.types import State
 
-EPSILON = 1e-8  #: of the z-score; the paper names it and gives no value
+_EPSILON = 1e-8  # of the z-score; the paper names it and gives no value
 
 
-class Normaliser(Protocol):
+class Normaliser(ABC):
     """Turns a raw prior into the one that is stored, and learns from it."""
+
+    def __init__(self) -> None:
+        self._moments = RunningMoments()
 
     def __call__(self, raw: float) -> float:
         """Count `raw` in, then scale it."""
+        self._moments.add(raw)
+        return self.scaled(raw)
 
+    @abstractmethod
     def scaled(self, raw: float) -> float:
         """Scale it by what was seen so far."""
 
     def state_dict(self) -> State:
-        """What was seen so far."""
+        return self._moments.state_dict()
 
     def load_state_dict(self, state: State) -> None:
-        """Continue where `state_dict` was taken."""
+        self._moments.load_state_dict(state)
 
 
-class ScaleNormaliser:
+class ScaleNormaliser(Normaliser):
     """N(x) = x / max(1, sigma), the appendix' version."""
-
-    def __init__(self) -> None:
-        self._moments = RunningMoments()
-
-    def __call__(self, raw: float) -> float:
-        self._moments.add(raw)
-        return self.scaled(raw)
 
     def scaled(self, raw: float) -> float:
         return raw / max(1.0, self._moments.std)
 
-    def state_dict(self) -> State:
-        return self._moments.state_dict()
 
-    def load_state_dict(self, state: State) -> None:
-        self._moments.load_state_dict(state)
-
-
-class ZScoreNormaliser:
+class ZScoreNormaliser(Normaliser):
     """N(x) = (x - mu) / (sigma + epsilon), the main text's version."""
 
-    def __init__(self) -> None:
-        self._moments = RunningMoments()
-
-    def __call__(self, raw: float) -> float:
-        self._moments.add(raw)
-        return self.scaled(raw)
-
     def scaled(self, raw: float) -> float:
-        return (raw - self._moments.mean) / (self._moments.std + EPSILON)
-
-    def state_dict(self) -> State:
-        return self._moments.state_dict()
-
-    def load_state_dict(self, state: State) -> None:
-        self._moments.load_state_dict(state)
-
-
-_NORMALISERS: dict[str, type[ScaleNormaliser] | type[ZScoreNormaliser]] = {
-    "scale": ScaleNormaliser,
-    "zscore": ZScoreNormaliser,
-}
+        return (raw - self._moments.mean) / (self._moments.std + _EPSILON)
 
 
 def make_normaliser(name: str) -> Normaliser:
-    """A fresh normaliser: "scale" (appendix) or "zscore" (main text).
-
-    Raises:
-        UnknownNameError: another name.
-    """
-    if name not in _NORMALISERS:
-        raise UnknownNameError("normaliser", name, _NORMALISERS)
-    return _NORMALISERS[name]()
+    """A fresh normaliser: "scale" (appendix) or "zscore" (main text)."""
+    normalisers: dict[str, type[Normaliser]] = {"scale": ScaleNormaliser, "zscore": ZScoreNormaliser}
+    if name not in normalisers:
+        raise UnknownNameError("normaliser", name, normalisers)
+    return normalisers[name]()

@@ -2,13 +2,19 @@
 
 A prior asks for `step.hand` or `step.goal`, never for entries of the observation, so one prior serves every task that
 reveals what it reads. The true reward is not here.
+
+Somebody else wrote it: `evaluate_prior` calls it, and says clearly what went wrong with it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import traceback
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from itertools import takewhile
+from numbers import Real
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -21,14 +27,13 @@ if TYPE_CHECKING:
 
 Position = npt.NDArray[np.float64]
 
+_LARGEST = 3.4e38  # of a float32
+_GUARDS = str(Path(__file__).with_name("language") / "guards.py")  # stand between a model's code and its arithmetic
+
 
 @dataclass(frozen=True, slots=True)
 class Scene:
-    """One state of a task, seen through the features the task reveals.
-
-    Raises:
-        PriorError: from a feature that the task does not reveal.
-    """
+    """One state of a task, seen through the features the task reveals; others raise `PriorError`."""
 
     task: Task
     obs: Floats  #: float32 [O], as the agent sees it
@@ -108,3 +113,31 @@ class PriorStep(Scene):
             there = ", ".join(self.task.outcomes) or "none"
             raise PriorError(f'{self.task.name} does not tell "{name}" of a step; what it tells: {there}')
         return float(self.info[name])
+
+
+def evaluate_prior(prior: Callable[[PriorStep], float], step: PriorStep, where: str) -> float:
+    """The prior's value of this step; `where` says which, for messages, such as `prior "proxy" at step 17`.
+
+    Raises:
+        PriorError: it raised (the cause is chained), or returned something other than one finite number.
+    """
+    try:
+        value: Any = prior(step)
+    except PriorError as error:
+        raise PriorError(f"{where}: {error}") from error
+    except (Exception, SystemExit) as error:
+        frames = traceback.extract_tb(error.__traceback__)[1:]
+        theirs = list(takewhile(lambda frame: frame.filename != _GUARDS, frames))
+        line = f" ({theirs[-1].filename}, line {theirs[-1].lineno})" if theirs else ""
+        raise PriorError(f"{where} raised {type(error).__name__}: {error}{line}") from error
+    shape = getattr(value, "shape", None)
+    number = value.item() if shape == () else value  # a numpy scalar, or an array without axes
+    if not isinstance(number, Real):
+        kind = type(value).__name__ if shape is None else f"{type(value).__name__} of shape {tuple(shape)}"
+        text = " ".join(repr(value).split())  # arrays are printed over several lines
+        shown = f"{text if len(text) <= 60 else text[:57] + '...'} ({kind})"
+        raise PriorError(f"{where} returned {shown}; a prior returns one number per step")
+    number = float(number)
+    if not abs(number) <= _LARGEST:
+        raise PriorError(f"{where} returned {number}; a prior returns a finite number that fits into a float32")
+    return number

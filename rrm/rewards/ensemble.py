@@ -1,9 +1,20 @@
-"""A reward learned from nothing but preferences: an ensemble of networks of (s, a), each bounded by tanh (PEBBLE)."""
+"""Rewards learned by an ensemble of networks, alone (PEBBLE's) or on top of a prior: the residual reward model.
+
+    r(s, a) = r0(s, a) + tanh(f(s, a, r0(s, a)))          (section 3, equation 3)
+
+The prior value is also an input of the network, so that the residual can cancel a prior it finds misleading. Whoever
+trains or queries the reward sees the sum; nothing else in the library knows that there are two parts.
+
+The tanh stands for a prior belief N(r; r0, sigma^2) about the reward (appendix "Motivating RRMs with MAP estimation").
+With `reward.bound = "gaussian"` the residual is f itself, and what that belief adds to the loss is its penalty:
+lambda f^2, in the mean over all steps of both segments. A reward without a prior has no r0 to be near: it keeps its
+tanh, as PEBBLE's does, and `bound` means nothing to it.
+"""
 
 from __future__ import annotations
 
 import torch
-from torch import Tensor
+from torch import Generator, Tensor
 
 from rrm.config import RewardConfig
 from rrm.nets.mlp import StackedMLP
@@ -11,55 +22,28 @@ from rrm.precision import Precision
 from rrm.types import Segments, State
 
 
-class Ensemble:
-    """N independent networks with outputs in (-1, 1), or with linear ones (appendix "Model structure")."""
+class EnsembleReward:
+    """r(s, a) by every member (appendix "Model structure"), each bounded by tanh; the prior is not looked at."""
+
+    on_prior = False  #: whether the prior's value is an input, and part of the sum
 
     def __init__(
-        self,
-        config: RewardConfig,
-        inputs: int,
-        generator: torch.Generator,
-        precision: Precision = "float32",
-        *,
-        linear: bool = False,
+        self, config: RewardConfig, obs_dim: int, act_dim: int, generator: Generator, precision: Precision = "float32"
     ) -> None:
-        self._linear = linear
-        self.net = StackedMLP(
-            config.members, inputs, config.hidden, config.layers, 1,
+        self._config = config
+        self._linear = self.on_prior and config.bound == "gaussian"  # nothing bounds what the networks say
+        self._net = StackedMLP(
+            config.members, obs_dim + act_dim + self.on_prior, config.hidden, config.layers, 1,
             activation="leaky_relu", init="torch", generator=generator, precision=precision,
         )  # fmt: skip
 
-    def __call__(self, x: Tensor) -> Tensor:
-        """Outputs [N, B, T] for inputs [B, T, D] shared by the members, or [N, B, T, D] of their own."""
-        shape = x.shape[-3:-1]
-        outputs = self.net(x.flatten(-3, -2))
-        return (outputs if self._linear else torch.tanh(outputs)).view(-1, *shape)
-
-
-class EnsembleReward:
-    """r(s, a) by every member; the prior is not looked at."""
-
-    extra_inputs = 0  #: beside state and action
-
-    def __init__(
-        self,
-        config: RewardConfig,
-        obs_dim: int,
-        act_dim: int,
-        generator: torch.Generator,
-        precision: Precision = "float32",
-    ) -> None:
-        self._config = config
-        inputs = obs_dim + act_dim + self.extra_inputs
-        self._ensemble = Ensemble(config, inputs, generator, precision, linear=self._linear)
-
-    @property
-    def _linear(self) -> bool:
-        """Whether nothing bounds what the networks say."""
-        return False
-
     def members(self, segments: Segments) -> Tensor:
-        return self._ensemble(torch.cat([segments.obs, segments.act], dim=-1))
+        return self._outputs(torch.cat([segments.obs, segments.act], dim=-1))
+
+    def _outputs(self, inputs: Tensor) -> Tensor:
+        """[N, B, T], for inputs [B, T, D] shared by the members, or [N, B, T, D] of their own."""
+        outputs = self._net(inputs.flatten(-3, -2))
+        return (outputs if self._linear else torch.tanh(outputs)).view(-1, *inputs.shape[-3:-1])
 
     @torch.no_grad()
     def predict(self, obs: Tensor, act: Tensor, prior: Tensor) -> Tensor:
@@ -67,14 +51,28 @@ class EnsembleReward:
         return self.members(steps).mean(dim=0).squeeze(0)
 
     def penalty(self, rewards: Tensor, segments: Segments) -> Tensor:  # noqa: ARG002 (the seam other rewards use)
-        """The tanh is bound enough."""
-        return rewards.new_zeros(())
+        return rewards.new_zeros(())  # the tanh is bound enough
 
     def parameters(self) -> list[Tensor]:
-        return self._ensemble.net.parameters()
+        return self._net.parameters()
 
     def state_dict(self) -> State:
-        return {"weights": self._ensemble.net.flat.clone()}
+        return {"weights": self._net.flat.clone()}
 
     def load_state_dict(self, state: State) -> None:
-        self._ensemble.net.flat.copy_(state["weights"])
+        self._net.flat.copy_(state["weights"])
+
+
+class ResidualReward(EnsembleReward):
+    """Prior plus residual, by every member of an ensemble."""
+
+    on_prior = True
+
+    def members(self, segments: Segments) -> Tensor:
+        inputs = torch.cat([segments.obs, segments.act, segments.prior.unsqueeze(-1)], dim=-1)
+        return segments.prior + self._outputs(inputs)
+
+    def penalty(self, rewards: Tensor, segments: Segments) -> Tensor:
+        if not self._linear:
+            return super().penalty(rewards, segments)
+        return self._config.penalty * (rewards - segments.prior).square().mean(dim=(-2, -1)).sum()

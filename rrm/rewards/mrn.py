@@ -56,13 +56,12 @@ class Mrn(Pebble):
     def outer_loss(self, batch: Batch, agent: CriticAgent, feedback: Feedback) -> Tensor:
         """How badly critics one step ahead tell the newest labels; a scalar, differentiable in the reward's parameters.
 
-        Args:
-            batch: transitions that the imaginary step is taken on; their reward is not looked at.
-            agent: whose critics; they stay as they are.
-            feedback: of which the newest pairs are asked.
+        The imaginary step is taken on `batch`, whose reward is not looked at; the agent's critics stay as they are.
         """
         params = agent.critic_parameters()
-        q_target = agent.q_target(batch._replace(reward=self._reward(batch)))
+        steps = Segments(*(field.unsqueeze(0) for field in (batch.obs, batch.act, batch.prior)))
+        rewards = self.reward.members(steps).mean(dim=0).squeeze(0)
+        q_target = agent.q_target(batch._replace(reward=rewards))
         error = agent.q_values(batch.obs, batch.act, params) - q_target
         gradients = torch.autograd.grad(error.square().mean(dim=-1).sum(), params, create_graph=True)
         ahead = [p - agent.critic_lr * g for p, g in zip(params, gradients, strict=True)]
@@ -70,16 +69,10 @@ class Mrn(Pebble):
         q_first, q_second = (agent.q_values(s.obs[:, 0], s.act[:, 0], ahead) for s in (first, second))
         return self.config.mrn.outer_weight * preference_loss(q_second - q_first, target)
 
-    def _reward(self, batch: Batch) -> Tensor:
-        """Mean over the members, [B], with gradient."""
-        steps = Segments(*(field.unsqueeze(0) for field in (batch.obs, batch.act, batch.prior)))
-        return self.reward.members(steps).mean(dim=0).squeeze(0)
-
     def metrics(self) -> dict[str, float]:
-        """Figures of the last step on the outer loss, NaN before the first.
+        """Of the last step on the outer loss, NaN before the first, and how many there were.
 
-        `meta_gradient` is the gradient's norm, `meta_cosine` the cosine between its descent and the step that Adam made
-        of it, `meta_steps` how many there were.
+        `meta_gradient` is the gradient's norm, `meta_cosine` the cosine between its descent and Adam's step.
         """
         norm, cosine = self._figures.tolist()
         return {"meta_gradient": norm, "meta_cosine": cosine, "meta_steps": float(self._steps)}

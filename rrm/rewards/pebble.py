@@ -28,12 +28,8 @@ def told_right(logit: Tensor, target: Tensor) -> tuple[Tensor, Tensor]:
     return right.sum(), clear.sum()
 
 
-def checked(accuracy: float, loss: float, labels: int) -> dict[str, float]:
-    """What every fit returns.
-
-    Raises:
-        NumericalError: the loss is not finite.
-    """
+def learned(accuracy: float, loss: float, labels: int) -> dict[str, float]:
+    """What every fit returns, unless the loss is not finite."""
     if not np.isfinite(loss):
         raise NumericalError(f"the loss of the reward is {loss} after {labels} labels")
     return {"label_accuracy": accuracy, "reward_loss": loss}
@@ -57,16 +53,13 @@ class Pebble:
         Returns:
             `label_accuracy` of the last epoch (each minibatch before its step, ties left out; NaN if all are ties),
             `reward_loss`, and `epochs` done.
-
-        Raises:
-            NumericalError: the loss is not finite.
         """
         epochs = 0
         accuracy = loss = float("nan")
         while epochs < self.config.epochs and not accuracy > self.config.target_accuracy:
             accuracy, loss = self._epoch(feedback)
             epochs += 1
-        return {**checked(accuracy, loss, len(feedback)), "epochs": float(epochs)}
+        return {**learned(accuracy, loss, len(feedback)), "epochs": float(epochs)}
 
     def _epoch(self, feedback: Feedback) -> tuple[float, float]:
         members, count = self.config.members, len(feedback)
@@ -76,7 +69,12 @@ class Pebble:
             self._optimizer.zero_grad(set_to_none=True)
             # The gradient of a minibatch is the sum over its parts, which fit into the caches.
             for part in torch.split(index, PAIRS_AT_ONCE, dim=1):
-                figures += self._accumulate(feedback, part, part.shape[1] / index.shape[1])
+                first, second, target = feedback.pairs(part)
+                rewards, penalty = self._rewards(first, second)
+                logit = preference_logit(*rewards)
+                loss = preference_loss(logit, target) + penalty
+                (loss * (part.shape[1] / index.shape[1])).backward()  # type: ignore[no-untyped-call]
+                figures += torch.stack((*told_right(logit.detach(), target), loss.detach() * part.shape[1]))
             self._step()
         right, decided, total = figures.tolist()
         return right / decided if decided else float("nan"), total / count
@@ -84,19 +82,6 @@ class Pebble:
     def _step(self) -> None:
         """Step along the gradient of the whole minibatch."""
         self._optimizer.step()
-
-    def _accumulate(self, feedback: Feedback, index: Tensor, share: float) -> Tensor:
-        """Add a part's gradient to that of its minibatch, of which it is this share.
-
-        Returns:
-            Pairs told right and pairs without a tie, over all members, and the summed loss.
-        """
-        first, second, target = feedback.pairs(index)
-        rewards, penalty = self._rewards(first, second)
-        logit = preference_logit(*rewards)
-        loss = preference_loss(logit, target) + penalty
-        (loss * share).backward()  # type: ignore[no-untyped-call]
-        return torch.stack((*told_right(logit.detach(), target), loss.detach() * index.shape[1]))
 
     def _rewards(self, first: Segments, second: Segments) -> tuple[tuple[Tensor, Tensor], Tensor]:
         """What every member says of each step of both segments, [N, B, T] each, and the penalty on it."""
@@ -106,11 +91,9 @@ class Pebble:
         return (r_first, r_second), self.reward.penalty(rewards, both)
 
     def refine(self, batch: Batch, agent: CriticAgent, feedback: Feedback) -> bool:  # noqa: ARG002 (the seam of others)
-        """PEBBLE learns in sessions alone."""
-        return False
+        return False  # PEBBLE learns in sessions alone
 
     def metrics(self) -> dict[str, float]:
-        """Nothing that `fit` does not return."""
         return {}
 
     def state_dict(self) -> State:

@@ -9,6 +9,7 @@ cumulative sums, ties are left out of the accuracy, and the accuracy is that of 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 
 import numpy as np
 import numpy.typing as npt
@@ -18,7 +19,7 @@ from torch import Tensor
 from rrm.config import RewardConfig
 from rrm.interfaces import Feedback, RewardFunction
 from rrm.losses import preference_loss, pseudo_label_loss, window_sums
-from rrm.rewards.pebble import PAIRS_AT_ONCE, Pebble, checked, told_right
+from rrm.rewards.pebble import PAIRS_AT_ONCE, Pebble, learned, told_right
 from rrm.types import Segments, State
 
 
@@ -26,7 +27,6 @@ class Surf(Pebble):
     """Cross-entropy on crops, of labels and of the members' own pseudo-labels; `reward.surf` holds its settings."""
 
     def __init__(self, reward: RewardFunction, config: RewardConfig, rng: np.random.Generator) -> None:
-        """Args: rng: the stream that shuffles labels and crops segments."""
         super().__init__(reward, config, rng)
         self.needs = config.surf.needs()
         self._sure = float("nan")  # share of pseudo-labels that counted in the last pass
@@ -34,29 +34,25 @@ class Surf(Pebble):
     def fit(self, feedback: Feedback) -> dict[str, float]:
         """`ceil(epochs * labels / minibatch)` gradient steps, however well the labels are told before.
 
-        Returns:
-            `label_accuracy` and `reward_loss` over the last pass over the labels, as `Pebble.fit` has them.
-
-        Raises:
-            NumericalError: the loss is not finite.
+        `label_accuracy` and `reward_loss` are those of the last pass over the labels.
         """
         config, count = self.config, len(feedback)
-        labelled = _Deck(self._rng, config.members, count)
-        unlabelled = _Deck(self._rng, config.members, feedback.unlabelled)
+        labelled = _minibatches(self._rng, config.members, count, config.minibatch)
+        unlabelled = _minibatches(self._rng, config.members, feedback.unlabelled, config.minibatch * config.surf.ratio)
         steps, a_pass = (math.ceil(epochs * count / config.minibatch) for epochs in (config.epochs, 1))
-        figures, asked = torch.zeros(4), 0
+        figures, pseudo = torch.zeros(4), 0
         for step in range(steps):
             if step == steps - a_pass:
-                figures, asked = torch.zeros(4), 0
+                figures, pseudo = torch.zeros(4), 0
             self._optimizer.zero_grad(set_to_none=True)
-            figures[:3] += self._labelled(feedback, labelled.draw(config.minibatch))
-            index = unlabelled.draw(config.minibatch * config.surf.ratio)
+            figures[:3] += self._labelled(feedback, next(labelled))
+            index = next(unlabelled)
             figures[2:] += self._unlabelled(feedback, index)
-            asked += index.numel()
+            pseudo += index.numel()
             self._optimizer.step()
         right, decided, loss, sure = figures.tolist()
-        self._sure = sure / asked
-        return checked(right / decided if decided else float("nan"), loss / a_pass, count)
+        self._sure = sure / pseudo
+        return learned(right / decided if decided else float("nan"), loss / a_pass, count)
 
     def _labelled(self, feedback: Feedback, index: Tensor) -> Tensor:
         """Add the gradient of the labelled pairs at `index` [N, B]: pairs told right, pairs without a tie, loss."""
@@ -93,9 +89,8 @@ class Surf(Pebble):
         """Where windows begin and end, [N, 2 B, 2] each: a random crop of each segment, and its middle."""
         surf = self.config.surf
         middle = steps - 2 * surf.margin
-        length = self._rng.integers(
-            middle - surf.crop, middle + surf.crop, size=(members, segments // 2), endpoint=True
-        )
+        shape = members, segments // 2
+        length = self._rng.integers(middle - surf.crop, middle + surf.crop, size=shape, endpoint=True)
         length = np.concatenate((length, length), axis=1)
         start = self._rng.integers(0, steps - length, endpoint=True)
         starts = np.stack((start, np.full_like(start, surf.margin)), axis=-1)
@@ -114,23 +109,15 @@ class Surf(Pebble):
         self._sure = float(state["sure"])
 
 
-class _Deck:
-    """Minibatches of positions, drawn by every member in an order of its own; shuffled anew when all are drawn."""
+def _minibatches(rng: np.random.Generator, members: int, count: int, size: int) -> Iterator[Tensor]:
+    """Positions, int64 [N, <= size], every member's in an order of its own; shuffled anew when all are drawn."""
 
-    def __init__(self, rng: np.random.Generator, members: int, count: int) -> None:
-        self._rng = rng
-        self._shape = members, count
-        self._shuffle()
+    def shuffled() -> Tensor:
+        return torch.from_numpy(np.stack([rng.permutation(count) for _ in range(members)]))
 
-    def _shuffle(self) -> None:
-        members, count = self._shape
-        self._order = torch.from_numpy(np.stack([self._rng.permutation(count) for _ in range(members)]))
-        self._drawn = 0
+    def rounds(order: Tensor) -> Iterator[Tensor]:
+        while True:
+            yield from torch.split(order, size, dim=1)
+            order = shuffled()
 
-    def draw(self, size: int) -> Tensor:
-        """The next `size` positions, or what is left of this round: int64 [N, <= size]."""
-        if self._drawn >= self._shape[1]:
-            self._shuffle()
-        part = self._order[:, self._drawn : self._drawn + size]
-        self._drawn += size
-        return part
+    return rounds(shuffled())  # the first order is drawn now

@@ -14,16 +14,15 @@ from rrm.checkpoint import again
 from rrm.config import IMITATION, PRIOR_ALONE
 from rrm.errors import DemosError, MissingResultError
 from rrm.imitation.demos import Demonstrations
+from rrm.imitation.discriminator import RewardNet
 from rrm.imitation.finetune import Finetune, ImitatedReward
-from rrm.imitation.networks import RewardNet
 from rrm.interfaces import Agent, RewardFunction, RewardLearner
 from rrm.priors import load_prior
 from rrm.priors.imitation import ImitationPrior
 from rrm.priors.scale import Normaliser, make_normaliser
 from rrm.registry import lookup
 from rrm.rewards import LEARNERS
-from rrm.rewards.ensemble import EnsembleReward
-from rrm.rewards.residual import ResidualReward
+from rrm.rewards.ensemble import EnsembleReward, ResidualReward
 from rrm.seeding import Streams
 from rrm.sources.adversarial import Adversarial
 from rrm.sources.entropy import StateEntropy

@@ -8,9 +8,8 @@ from typing import Any
 import numpy as np
 
 from rrm.envs import Task
-from rrm.priors import evaluate_prior
 from rrm.priors.scale import Normaliser
-from rrm.priors.step import PriorStep, Scene
+from rrm.priors.step import PriorStep, Scene, evaluate_prior
 from rrm.types import Floats, State
 
 

@@ -17,7 +17,7 @@ from rrmctl.cli.screen import tell
 from rrmctl.errors import UserError
 
 if TYPE_CHECKING:
-    from rrm.priors.language.record import Record
+    from rrm.priors.language import Record
 
 prior_app = typer.Typer(no_args_is_help=True, help="Prepare priors that are not functions of your own.")
 language_app = typer.Typer(no_args_is_help=True, help="Priors that a language model writes, in any chat.")
@@ -82,16 +82,15 @@ def add(
       rrmctl prior language add button-press answer-*.py --model GPT-5 --date 2025-10-01
     """
     from rrm.envs.tasks import task as task_of
-    from rrm.priors.language.candidates import Origin
-    from rrm.priors.language.candidates import add as freeze
+    from rrm.priors.language.candidates import freeze_best
     from rrm.priors.language.prompt import make_prompt
     from rrmctl.planning.experiments import OWN
 
     spec = task_of(task)
     text = make_prompt(spec, skeleton=True) if prompt_file is None else _read(prompt_file)
-    origin = Origin(model=model, date=f"{date:%Y-%m-%d}", prompt=text)
     manifests = experiments or OWN
-    target, record = freeze(spec, files, origin, into or manifests.absolute().parent / "priors")
+    folder = into or manifests.absolute().parent / "priors"
+    target, record = freeze_best(spec, files, folder, model=model, date=f"{date:%Y-%m-%d}", prompt=text)
     _show(record)
     name = os.path.relpath(target)
     option = shlex.join(["--prior", f"{name}:reward"])

@@ -44,7 +44,7 @@ def of_script(task: str, episodes: int, seed: int, least_success: float) -> Demo
     Raises:
         RrmError: there is no such task or policy, or it succeeds too rarely.
     """
-    from rrm.envs.experts import scripted_policy
+    from rrm.envs.metaworld import scripted_policy
 
     source = {"source": "scripted"}
     return _played(task, scripted_policy(task), episodes, seed=seed, least_success=least_success, source=source)

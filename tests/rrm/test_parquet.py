@@ -15,7 +15,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rrm import parquet
-from rrm.parquet import encode, write_table
+from rrm.parquet import table_bytes, write_table
 
 tables = st.builds(
     lambda values, text: pa.table({"a": values, "b": [text] * len(values)}),
@@ -34,7 +34,7 @@ def test_who_read_the_footer_of_any_version_finds_its_pages_in_all_that_follow(v
     """Versions of any sizes, smaller and larger ones in turn."""
     files = [b""]
     for table in versions:
-        files.append(encode(table, files[-1], write_page_checksum=True))
+        files.append(table_bytes(table, files[-1], write_page_checksum=True))
         for old, content in zip(files[1:], versions, strict=False):
             assert read_with_footer_of(old, files[-1]).equals(content)
         assert pq.read_table(io.BytesIO(files[-1])).equals(table)
@@ -43,10 +43,10 @@ def test_who_read_the_footer_of_any_version_finds_its_pages_in_all_that_follow(v
 def test_what_nobody_can_be_reading_any_more_is_dropped(monkeypatch: pytest.MonkeyPatch) -> None:
     """A file replaced now and then holds its predecessor's pages and no others."""
     table = pa.table({"a": range(1000)})
-    one = encode(table)
-    two = encode(table, one)
+    one = table_bytes(table)
+    two = table_bytes(table, one)
     monkeypatch.setattr(parquet, "KEPT_S", -1.0)
-    assert len(encode(table, two)) == len(one) < len(two)
+    assert len(table_bytes(table, two)) == len(one) < len(two)
 
 
 def test_equal_content_leaves_the_file_alone(tmp_path: Path) -> None:
@@ -74,10 +74,10 @@ def test_equal_content_leaves_the_file_alone(tmp_path: Path) -> None:
 def test_a_damaged_predecessor_is_none(before: bytes) -> None:
     """Nor is one without pages, or one that another program wrote."""
     table = pa.table({"a": [1]})
-    assert encode(table, before) == encode(table)
+    assert table_bytes(table, before) == table_bytes(table)
     other = io.BytesIO()
     pq.write_table(table, other)
-    assert encode(table, other.getvalue()) == encode(table)
+    assert table_bytes(table, other.getvalue()) == table_bytes(table)
 
 
 def test_pandas_reads_while_it_is_replaced(tmp_path: Path) -> None:

@@ -13,12 +13,12 @@ from tests.rrm.training.test_run_config import run
 def test_auto_is_what_the_machine_has(monkeypatch: pytest.MonkeyPatch, flags: str, best: str) -> None:
     """What is stored, and enters the identity, is the arithmetic and not the word."""
     monkeypatch.setattr(precision, "extensions", lambda: frozenset(flags.split()))
-    precision.best.cache_clear()
+    precision.native_precision.cache_clear()
     try:
         assert run(precision="auto").precision == best
         assert run(precision="auto").identity == run(precision=best).identity
     finally:
-        precision.best.cache_clear()
+        precision.native_precision.cache_clear()
 
 
 def test_precision_is_part_of_the_identity() -> None:

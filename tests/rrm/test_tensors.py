@@ -8,7 +8,7 @@ import safetensors.numpy
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rrm.tensors import decode, encode
+from rrm.tensors import pack, unpack
 
 ARRAYS = {
     "a": np.arange(6, dtype=np.float32).reshape(2, 3), "b": np.array(2.5), "none": np.zeros((0, 4), np.float32),
@@ -27,25 +27,25 @@ def same(arrays, told):
 
 def test_what_is_written_is_read():
     """Types, shapes, bits and what is said; equal content is equal bytes."""
-    same(*decode(encode(ARRAYS, "told", TOLD), "told"))
-    assert len({encode(ARRAYS, "told", TOLD) for _ in range(20)}) == 1
+    same(*unpack(pack(ARRAYS, "told", TOLD), "told"))
+    assert len({pack(ARRAYS, "told", TOLD) for _ in range(20)}) == 1
 
 
 def test_files_without_a_checksum_are_read():
     """Earlier versions wrote none."""
-    same(*decode(safetensors.numpy.save(ARRAYS, {"told": json.dumps(TOLD)}), "told"))
+    same(*unpack(safetensors.numpy.save(ARRAYS, {"told": json.dumps(TOLD)}), "told"))
 
 
 @settings(max_examples=300, deadline=None)
 @given(st.data())
 def test_a_flipped_bit_is_refused_or_changes_nothing(data):
     """Wherever it is: values, names, types, shapes and text."""
-    good = encode(ARRAYS, "told", TOLD)
+    good = pack(ARRAYS, "told", TOLD)
     at = data.draw(st.integers(0, len(good) - 1))
     flipped = bytearray(good)
     flipped[at] ^= 1 << data.draw(st.integers(0, 7))
     try:
-        arrays, told = decode(bytes(flipped), "told")
+        arrays, told = unpack(bytes(flipped), "told")
     except ValueError:
         return
     same(arrays, {name: value for name, value in told.items() if name in TOLD})  # the checksum's own name may differ
@@ -57,4 +57,4 @@ def test_a_flipped_bit_is_refused_or_changes_nothing(data):
 def test_what_is_no_such_file_is_refused(content):
     """Whatever it is instead."""
     with pytest.raises(ValueError, match=r"."):
-        decode(content, "told")
+        unpack(content, "told")

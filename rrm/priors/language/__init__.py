@@ -3,30 +3,58 @@
 (Paper, section 3.2 and appendix "Language rewards".) The paper prints one function, walker-walk's; it is here as
 printed. Those of the other tasks are not published: the ones here are stand-ins, as their records say.
 
-A model's code is not trusted: `translate` rebuilds what a small subset of Python allows and refuses the rest.
+A frozen prior is a file `NAME.language.py`: a function, and above it where it came from, a block of comments with TOML
+behind `# `, so that code and provenance have one digest. A model's code is not trusted and never run as a module:
+`translate` rebuilds what a small subset of Python allows and refuses the rest.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import json
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from rrm.errors import ConfigError, RefusedCodeError
-from rrm.files import place
-from rrm.priors.language.record import Record, parse_record, read_source
+from rrm.files import place, read_bounded
 from rrm.priors.language.translate import ENTRY, Admitted, admit
 from rrm.priors.language.vocabulary import OUTCOMES, TASK_FEATURES
 from rrm.registry import LANGUAGE
+from rrm.toml import loads
 
 if TYPE_CHECKING:
     from rrm.envs.tasks import Task
     from rrm.priors.step import PriorStep
 
-__all__ = ["check", "is_frozen", "language", "load"]
-
 FROZEN = Path(__file__).with_name("frozen")  #: one file a task
+
+_LARGEST = 200_000  # bytes of a file with a candidate or a frozen prior
+_BEGIN, _END = "# /// language-prior", "# ///"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Candidate:
+    """One function that a model wrote, and what became of it."""
+
+    file: str  #: its name
+    sha256: str  #: of the file as given
+    score: float | None = None  #: agreement with the other candidates; None where it was refused or stands alone
+    refused: str | None = None  #: why, where it was
+
+
+@dataclass(frozen=True, kw_only=True)
+class Record:
+    """Where a frozen prior comes from."""
+
+    task: str  #: the one it was written for
+    model: str  #: which wrote it, as told by the user
+    date: str  #: when, as told by the user
+    prompt_sha256: str  #: of the prompt's text
+    kept: str  #: file name of the candidate that was kept
+    candidates: tuple[Candidate, ...]
+    note: str | None = None
 
 
 def language(step: PriorStep) -> float:
@@ -39,7 +67,7 @@ language.tasks = frozenset(path.name.removesuffix(LANGUAGE) for path in FROZEN.g
 
 @cache
 def _shipped(task: str) -> Callable[[PriorStep], float]:
-    return load(f"{FROZEN / task}{LANGUAGE}:{ENTRY}")
+    return load_frozen(f"{FROZEN / task}{LANGUAGE}:{ENTRY}")
 
 
 def is_frozen(name: str) -> bool:
@@ -47,22 +75,20 @@ def is_frozen(name: str) -> bool:
     return name.rpartition(":")[0].endswith(LANGUAGE)
 
 
-def load(name: str) -> Callable[[PriorStep], float]:
-    """The function in a frozen file, which sees nothing but `PriorStep` and the vocabulary of `words`.
+def load_frozen(name: str) -> Callable[[PriorStep], float]:
+    """The function in a frozen file, which sees nothing but `PriorStep` and the vocabulary.
 
     Raises:
-        RefusedCodeError: the code goes beyond the subset.
-        ConfigError: the file cannot be read, or holds no record.
+        RrmError: the code goes beyond the subset, or the file cannot be read or holds no record.
     """
     return _admitted(name)[0].function()
 
 
-def check(name: str, task: Task) -> None:
+def check_frozen(name: str, task: Task) -> None:
     """Refuse, without running it, a frozen file that cannot be the prior of this task.
 
     Raises:
-        RefusedCodeError: the code goes beyond the subset.
-        ConfigError: it was written for another task, or reads what the task does not reveal.
+        RrmError: as `load_frozen`, or it was written for another task, or reads what the task does not reveal.
     """
     admitted, record = _admitted(name)
     if record.task != task.name:
@@ -71,13 +97,8 @@ def check(name: str, task: Task) -> None:
 
 
 def check_reads(admitted: Admitted, task: Task) -> None:
-    """Refuse code that reads what the task does not reveal.
-
-    Raises:
-        ConfigError: with what it does reveal.
-    """
-    there = {*task.reveals, *task.outcomes}
-    hidden = sorted((admitted.reads & {*TASK_FEATURES, *OUTCOMES}) - there)
+    """Refuse code that reads what the task does not reveal, and say what it does."""
+    hidden = sorted((admitted.reads & {*TASK_FEATURES, *OUTCOMES}) - {*task.reveals, *task.outcomes})
     if hidden:
         raise ConfigError(
             f"{admitted.where} reads {', '.join(hidden)}, which {task.name} does not reveal; it reveals: "
@@ -92,3 +113,42 @@ def _admitted(name: str) -> tuple[Admitted, Record]:
         raise RefusedCodeError(f'prior "{name}": a language prior is called {ENTRY}, as in {location}:{ENTRY}')
     source = read_source(path)
     return admit(source, str(path)), parse_record(source, path)
+
+
+def read_source(path: Path) -> bytes:
+    """What is in the file of a candidate or a frozen prior."""
+    try:
+        return read_bounded(path, _LARGEST)
+    except OSError as error:
+        raise ConfigError(f"cannot read {path}: {error.strerror}") from error
+
+
+def parse_record(source: bytes, path: Path) -> Record:
+    """The record at the top of a frozen file's content; a `ConfigError` where there is none, or a damaged one."""
+    lines = source.decode(errors="replace").split("\n")
+    if _BEGIN not in lines or _END not in lines[lines.index(_BEGIN) :]:
+        raise ConfigError(f"{path} has no record ({_BEGIN} ... {_END}); `rrmctl prior language add --help`")
+    begin = lines.index(_BEGIN) + 1
+    block = lines[begin : lines.index(_END, begin)]
+    try:
+        fields = loads("\n".join(line.removeprefix("#") for line in block))
+        candidates = tuple(Candidate(**candidate) for candidate in fields.pop("candidates"))
+        return Record(**fields, candidates=candidates)
+    except (ValueError, TypeError, KeyError) as error:
+        raise ConfigError(f"{path}: its record is damaged: {error}") from error
+
+
+def freeze(record: Record, code: bytes) -> bytes:
+    """A file's content: the record, then the candidate's code as it was given."""
+    fields = asdict(record)
+    candidates = fields.pop("candidates")
+    lines = [_BEGIN, *_toml(fields)]
+    for candidate in candidates:
+        lines += ["#", "# [[candidates]]", *_toml(candidate)]
+    return "\n".join([*lines, _END, "", ""]).encode() + code
+
+
+def _toml(fields: Mapping[str, Any]) -> list[str]:
+    """JSON's strings and numbers are TOML's, surrogates aside."""
+    texts = {name: json.dumps(value, ensure_ascii=False) for name, value in fields.items() if value is not None}
+    return [f"# {name} = {text}" for name, text in texts.items()]

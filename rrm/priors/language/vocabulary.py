@@ -19,8 +19,10 @@ CONSTANTS: Mapping[str, float] = {
     "math.tau": math.tau,
 }
 
-#: Operators, by the name of their syntax node.
-OPERATORS = ("Add", "Sub", "Mult", "Div", "FloorDiv", "Mod", "Pow")
+#: Operators: the name of their syntax node, and of their function in the module `operator`.
+OPERATORS = {
+    "Add": "add", "Sub": "sub", "Mult": "mul", "Div": "truediv", "FloorDiv": "floordiv", "Mod": "mod", "Pow": "pow"
+}  # fmt: skip
 
 #: What every expression's value passes through, under a name that no code can spell.
 VALUE = "checked value"
@@ -33,33 +35,23 @@ class Signature(NamedTuple):
     keywords: frozenset[str] = frozenset()
 
 
-#: Functions of numpy and of math that are called as they are, by the number of their arguments.
-PLAIN_NUMPY: Mapping[int, str] = {
-    1: "abs absolute arccos arcsin arctan cos cosh deg2rad exp expm1 fabs isfinite isnan log log10 log1p log2 "
-    "max mean min rad2deg sign sin sinh sqrt square std sum tan tanh",
-    2: "arctan2 cross dot hypot maximum minimum",
-    3: "where",
-}
-PLAIN_MATH: Mapping[int, str] = {
-    1: "acos asin atan cos cosh degrees exp expm1 fabs isfinite log log10 log1p log2 radians sin sinh sqrt tan tanh",
-    2: "atan2 copysign fmod pow",
+#: Functions by module and number of arguments; where `guards` has nothing of its own, they are called as they are.
+_BY_ARGUMENTS = {
+    ("numpy.", 1): "abs absolute arccos arcsin arctan array asarray cos cosh deg2rad exp expm1 fabs float64 isfinite "
+    "isnan log log10 log1p log2 max mean min rad2deg sign sin sinh sqrt square std sum tan tanh",
+    ("numpy.", 2): "arctan2 cross dot hypot maximum minimum power",
+    ("numpy.", 3): "where",
+    ("math.", 1): "acos asin atan cos cosh degrees exp expm1 fabs isfinite log log10 log1p log2 radians sin sinh sqrt "
+    "tan tanh",
+    ("math.", 2): "atan2 copysign dist fmod pow",
+    ("math.", 8): "hypot",
+    ("", 1): "abs float sum",
+    ("", 32): "max min",
 }
 
 #: Everything that can be called besides the code's own functions.
-FUNCTIONS: Mapping[str, Signature] = {
-    **{f"numpy.{name}": Signature(most) for most, names in PLAIN_NUMPY.items() for name in names.split()},
-    **{f"math.{name}": Signature(most) for most, names in PLAIN_MATH.items() for name in names.split()},
-    "numpy.array": Signature(),
-    "numpy.asarray": Signature(),
-    "numpy.float64": Signature(),
-    "numpy.power": Signature(2),
+SIGNATURES: Mapping[str, Signature] = {
+    **{f"{module}{name}": Signature(most) for (module, most), names in _BY_ARGUMENTS.items() for name in names.split()},
     "numpy.clip": Signature(3, frozenset({"a_min", "a_max"})),
     "numpy.linalg.norm": Signature(2, frozenset({"ord"})),
-    "math.dist": Signature(2),
-    "math.hypot": Signature(8),
-    "abs": Signature(),
-    "float": Signature(),
-    "max": Signature(32),
-    "min": Signature(32),
-    "sum": Signature(),
 }

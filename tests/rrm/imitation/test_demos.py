@@ -10,7 +10,7 @@ import safetensors.numpy
 
 from rrm.envs import task
 from rrm.errors import ConfigError, DemosError, UnknownNameError
-from rrm.imitation.demos import FORMAT, Demonstrations
+from rrm.imitation.demos import DEMOS_FORMAT, Demonstrations
 from rrm.training.demonstrate import demonstrate
 
 ARRAYS = ("obs", "act", "next_obs", "terminated", "lengths", "returns", "successes")
@@ -74,10 +74,10 @@ def test_what_is_no_such_file_is_refused(tmp_path, damage):
             safetensors.numpy.save_file(arrays, path)
         case "lacks":
             del arrays["act"]
-            told = json.dumps({"format": FORMAT, "provenance": {}})
+            told = json.dumps({"format": DEMOS_FORMAT, "provenance": {}})
             safetensors.numpy.save_file(arrays, path, {"demonstrations": told})
         case "provenance":
-            told = json.dumps({"format": FORMAT, "provenance": 3})
+            told = json.dumps({"format": DEMOS_FORMAT, "provenance": 3})
             safetensors.numpy.save_file(arrays, path, {"demonstrations": told})
     with pytest.raises(DemosError, match=r"d\.safetensors"):
         Demonstrations.load(path)
@@ -135,7 +135,7 @@ def test_collecting_can_be_stopped():
 @pytest.mark.sim
 def test_scripted_policies_solve_their_tasks():
     """Meta-World's own, through our environment; their actions are clipped into [-1, 1]."""
-    from rrm.envs.experts import scripted_policy
+    from rrm.envs.metaworld import scripted_policy
 
     played = demonstrate("button-press", scripted_policy("button-press"), 3, seed=0, source={})
     assert played.success == 1.0
@@ -144,7 +144,7 @@ def test_scripted_policies_solve_their_tasks():
 
 def test_scripted_policies_are_meta_worlds():
     """Elsewhere there are none."""
-    from rrm.envs.experts import scripted_policy
+    from rrm.envs.metaworld import scripted_policy
 
     with pytest.raises(ConfigError, match="toy-car has no scripted policy"):
         scripted_policy("toy-car")

@@ -61,7 +61,7 @@ def test_equals_linear_layers(shape: dict[str, int], rows: int, shared: bool, se
     for differentiable in (net, net.plain):
         outputs = differentiable(x)
         close(expected.detach(), outputs.detach().transpose(1, 2))
-        for window, leaf in zip(net._grads, torch.autograd.grad(outputs, net.parameters(), narrow), strict=True):
+        for window, leaf in zip(net.grads, torch.autograd.grad(outputs, net.parameters(), narrow), strict=True):
             window.copy_(leaf)
         close(written_out, net.flat_grad)
         close(expected_grad, unstacked_grads(net, shape))

@@ -6,8 +6,8 @@ import torch
 
 from rrm.envs import task
 from rrm.errors import ConfigError, PriorError
-from rrm.priors import check_prior, evaluate_prior, load_prior
-from rrm.priors.step import PriorStep, Scene
+from rrm.priors import check_prior, load_prior
+from rrm.priors.step import PriorStep, Scene, evaluate_prior
 
 TOY = task("toy-car")
 

@@ -9,9 +9,8 @@ import torch
 from rrm.agents.sac import Sac
 from rrm.config import AgentConfig, MrnConfig, RewardConfig
 from rrm.envs import Spaces
-from rrm.rewards.ensemble import EnsembleReward
+from rrm.rewards.ensemble import EnsembleReward, ResidualReward
 from rrm.rewards.mrn import Mrn
-from rrm.rewards.residual import ResidualReward
 from rrm.seeding import Streams
 from rrm.types import Batch
 from tests.rrm.rewards.test_rewards import Labels
@@ -57,7 +56,7 @@ class InDouble:
     def __init__(self, agent, learner):
         self._agent, self.critic_lr = agent, agent.critic_lr
         self._params = [p.detach().double().requires_grad_() for p in agent.critic_parameters()]
-        self._net = learner.reward._ensemble.net
+        self._net = learner.reward._net
         self.reward = [p.detach().double().requires_grad_() for p in learner.reward.parameters()]
         self._value = None
 

@@ -5,10 +5,9 @@ import pytest
 import torch
 
 from rrm.config import RewardConfig, SurfConfig
-from rrm.rewards.ensemble import EnsembleReward
+from rrm.rewards.ensemble import EnsembleReward, ResidualReward
 from rrm.rewards.mrn import Mrn
 from rrm.rewards.pebble import Pebble
-from rrm.rewards.residual import ResidualReward
 from rrm.rewards.surf import Surf
 from rrm.types import Segments
 

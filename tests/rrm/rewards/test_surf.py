@@ -1,15 +1,15 @@
 """SURF: crops, pseudo-labels, and what they teach."""
 
 import math
+from itertools import islice
 
 import numpy as np
 import pytest
 import torch
 
 from rrm.config import RewardConfig, SurfConfig
-from rrm.rewards.ensemble import EnsembleReward
+from rrm.rewards.ensemble import EnsembleReward, ResidualReward
 from rrm.rewards.pebble import Pebble
-from rrm.rewards.residual import ResidualReward
 from rrm.rewards.surf import Surf
 from rrm.types import Segments
 
@@ -118,8 +118,8 @@ def test_one_step_by_hand(kind, monkeypatch):
     windows = {"labelled": draw(5), "unlabelled": draw(12)}
     order = iter(windows.values())
     monkeypatch.setattr(mine, "_windows", lambda *_: next(order))
-    in_order = lambda deck: torch.arange(deck._shape[1]).expand(3, -1)  # noqa: E731
-    monkeypatch.setattr("rrm.rewards.surf._Deck.draw", lambda deck, _size: in_order(deck))
+    in_order = lambda _rng, members, count, _size: iter([torch.arange(count).expand(members, -1)])  # noqa: E731
+    monkeypatch.setattr("rrm.rewards.surf._minibatches", in_order)
     metrics = mine.fit(answers)
     optimizer = torch.optim.Adam(fresh.reward.parameters(), lr=config.lr)
     loss = by_hand(fresh.reward, answers, windows, config)
@@ -143,10 +143,9 @@ def test_it_takes_its_steps_whatever_the_accuracy(labels, minibatch, epochs, mon
 
 def test_every_round_goes_through_all_pairs():
     """Each member meets every pair once before any comes again, and in an order of its own."""
-    from rrm.rewards.surf import _Deck
+    from rrm.rewards.surf import _minibatches
 
-    deck = _Deck(np.random.default_rng(0), 3, 10)
-    drawn = [deck.draw(4) for _ in range(6)]
+    drawn = list(islice(_minibatches(np.random.default_rng(0), 3, 10, 4), 6))
     assert [part.shape[1] for part in drawn] == [4, 4, 2, 4, 4, 2]
     for turn in (drawn[:3], drawn[3:]):
         orders = torch.cat(turn, dim=1)

@@ -302,11 +302,11 @@ def test_fine_tuning_goes_on_with_everything_but_the_loss(imitating, results):
     while trainer.step < 300:
         trainer.advance()
     agent, transitions = trainer.agent.state_dict(), trainer.experience.transitions
-    critic = trainer.agent._critic_adam.state_dict()["steps"].item()
+    critic = trainer.agent._adams["critic"].state_dict()["steps"].item()
     before = trainer.sources["adversarial"].airl.discriminator.state_dict()
     trainer.advance()
     assert trainer.agent.updates == agent["updates"] + 1
-    assert trainer.agent._critic_adam.state_dict()["steps"].item() == critic + 1
+    assert trainer.agent._adams["critic"].state_dict()["steps"].item() == critic + 1
     assert trainer.experience.transitions == transitions + 1
     after = trainer.sources["adversarial"].airl.discriminator.state_dict()
     assert not torch.equal(before["g"], after["g"])

@@ -11,10 +11,9 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner, Result
 
-from rrm.priors.language.record import sha256
 from rrmctl.cli.app import app
 from rrmctl.store import load
-from tests.rrm.priors.language.steps import recorded
+from tests.rrm.priors.language.steps import recorded, sha256
 
 EXPERIMENTS = Path(__file__).parents[3] / "experiments"
 WHO = ["--model", "M 1", "--date", "2026-01-02"]

@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rrm.parquet import encode
+from rrm.parquet import table_bytes
 from rrm.types import EvalRow
 from rrmctl.store.curve import SETTINGS, decode, table_of
 from rrmctl.store.files import DamagedError, StorageError, VersionError
@@ -37,7 +37,7 @@ def writer(tmp_path: Path) -> tuple[RunFolder, CurveWriter]:
 
 
 def encoded(rows: Iterable[EvalRow]) -> bytes:
-    return encode(table_of([WHO | row.columns() for row in rows]), **SETTINGS)
+    return table_bytes(table_of([WHO | row.columns() for row in rows]), **SETTINGS)
 
 
 def measured(row: Mapping[str, float]) -> dict[str, object]:

@@ -1,9 +1,11 @@
 """Steps for language priors to look at."""
 
+import hashlib
+
 import numpy as np
 
 from rrm.envs import task
-from rrm.priors.language.record import parse_record, read_source
+from rrm.priors.language import parse_record, read_source
 from rrm.priors.step import PriorStep, Scene
 
 
@@ -22,6 +24,10 @@ def code(body, before=""):
     """A file whose reward function has this body."""
     lines = "\n".join(f"    {line}" for line in body.strip("\n").split("\n"))
     return f"import numpy as np\nimport math\n{before}\n\ndef reward(step):\n{lines}\n".encode()
+
+
+def sha256(data):
+    return hashlib.sha256(data).hexdigest()
 
 
 def recorded(path):

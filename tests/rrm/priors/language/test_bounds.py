@@ -11,11 +11,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rrm.errors import PriorError, RefusedCodeError
-from rrm.priors import evaluate_prior
-from rrm.priors.language.guards import LARGEST, MOST_AXES, checked
-from rrm.priors.language.scope import MOST_WORK
-from rrm.priors.language.translate import admit
-from rrm.priors.language.vocabulary import FUNCTIONS as SIGNATURES
+from rrm.priors.language.guards import LARGEST, MOST_AXES, checked_value
+from rrm.priors.language.translate import MOST_WORK, admit
+from rrm.priors.language.vocabulary import SIGNATURES
+from rrm.priors.step import evaluate_prior
 from tests.rrm.priors.language.steps import code, random_step
 
 _MEMORY = 64 << 20  # bytes; what two arrays give before anybody can see how large it is, and a little more
@@ -36,7 +35,7 @@ def run(body, before="", limit=_MEMORY):
     def inside(frame, event, value):
         if event == "line" and frame.f_code.co_filename == "a.py":
             seen["lines"] += 1
-        elif event == "return" and frame.f_code is checked.__code__:
+        elif event == "return" and frame.f_code is checked_value.__code__:
             seen["values"] += 1
             for item in value if isinstance(value, tuple) else (value,):
                 assert np.ndim(item) <= MOST_AXES

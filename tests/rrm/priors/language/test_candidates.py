@@ -9,15 +9,22 @@ from scipy.stats import kendalltau
 from rrm.envs import make, task
 from rrm.errors import ConfigError, PriorError
 from rrm.priors import load_prior
-from rrm.priors.language.candidates import Origin, add, agreement, best, judge, segment_sums
-from rrm.priors.language.record import Candidate, sha256
-from rrm.priors.language.rollout import values, walk
+from rrm.priors.language import Candidate
+from rrm.priors.language.candidates import (
+    agreement,
+    best,
+    freeze_best,
+    segment_sums,
+    try_out,
+    values,
+    walk,
+)
 from rrm.priors.language.translate import admit
 from rrm.priors.step import PriorStep, Scene
-from tests.rrm.priors.language.steps import code, recorded
+from tests.rrm.priors.language.steps import code, recorded, sha256
 
 TOY = task("toy-car")
-ORIGIN = Origin(model="M", date="2026-01-02", prompt="Please.")
+ORIGIN = {"model": "M", "date": "2026-01-02", "prompt": "Please."}
 
 ANSWERS = {
     "distance.py": "return -np.linalg.norm(step.object - step.goal)",
@@ -45,7 +52,7 @@ def written(folder, *names):
 
 def judged(folder, lived, *names):
     paths = written(folder, *names)
-    return judge(TOY, paths, [path.read_bytes() for path in paths], lived)
+    return try_out(TOY, {path.name: path.read_bytes() for path in paths}, lived)
 
 
 def test_the_walk(lived):
@@ -56,7 +63,7 @@ def test_the_walk(lived):
     assert lived.obs.shape == (4, 100, 15)
     assert len(np.unique(lived.act[0], axis=0)) == 100
     assert len(np.unique(lived.act[1], axis=0)) == 4
-    assert set(vars(lived)) == {"obs", "act", "outcomes"}
+    assert set(lived._fields) == {"obs", "act", "outcomes"}
 
 
 def test_the_walk_is_the_environments():
@@ -73,7 +80,7 @@ def test_values_are_those_of_a_run(tmp_path, lived):
     """A candidate is asked what the frozen prior is asked in training, for every step."""
     path = written(tmp_path, "squared.py")[0]
     said = values(admit(path.read_bytes(), path.name).function(), TOY, lived, path.name)
-    target, _ = add(TOY, [path], ORIGIN, tmp_path)
+    target, _ = freeze_best(TOY, [path], tmp_path, **ORIGIN)
     prior = load_prior(f"{target}:reward")
     first = Scene(TOY, lived.obs[2, 0])
     step = PriorStep(TOY, lived.obs[2, 17], lived.act[2, 17], {}, np.random.default_rng(0), first)
@@ -121,9 +128,9 @@ def test_best():
 def test_the_true_reward_has_no_say(tmp_path, monkeypatch):
     """With another true reward everything comes out the same."""
     paths = written(tmp_path, "distance.py", "noise.py", "squared.py")
-    before = add(TOY, paths, ORIGIN, tmp_path / "a")[0].read_bytes()
+    before = freeze_best(TOY, paths, tmp_path / "a", **ORIGIN)[0].read_bytes()
     monkeypatch.setattr("rrm.envs.toy_car.true_reward", lambda *_: float("nan"))
-    assert add(TOY, paths, ORIGIN, tmp_path / "b")[0].read_bytes() == before
+    assert freeze_best(TOY, paths, tmp_path / "b", **ORIGIN)[0].read_bytes() == before
 
 
 def test_segments():
@@ -154,7 +161,7 @@ def test_ties_count_half():
 def test_add(tmp_path):
     """The best is frozen whole, with the digests of its prompt and of every candidate, and never overwritten."""
     paths = written(tmp_path, "file.py", "distance.py", "exponential.py")
-    target, record = add(TOY, paths, ORIGIN, tmp_path / "new" / "priors")
+    target, record = freeze_best(TOY, paths, tmp_path / "new" / "priors", **ORIGIN)
     assert target == tmp_path / "new" / "priors" / "toy-car.language.py"
     assert target.read_bytes().endswith(paths[1].read_bytes())
     assert recorded(target) == record
@@ -162,22 +169,22 @@ def test_add(tmp_path):
     assert record.prompt_sha256 == sha256(b"Please.")
     assert [c.sha256 for c in record.candidates] == [sha256(path.read_bytes()) for path in paths]
     with pytest.raises(ConfigError, match=r"toy-car\.language\.py is frozen"):
-        add(TOY, paths, ORIGIN, tmp_path / "new" / "priors")
+        freeze_best(TOY, paths, tmp_path / "new" / "priors", **ORIGIN)
 
 
 def test_nothing_to_add(tmp_path):
     """Every candidate's reason is told, and nothing is written."""
     paths = written(tmp_path, "file.py", "constant.py")
     with pytest.raises(PriorError, match=r"(?s)no candidate can be used:.*file\.py, line 6.*constant\.py: says 1"):
-        add(TOY, paths, ORIGIN, tmp_path / "priors")
+        freeze_best(TOY, paths, tmp_path / "priors", **ORIGIN)
     assert not (tmp_path / "priors").exists()
 
 
 @pytest.mark.parametrize(
     ("names", "origin", "said"),
     [
-        (["distance.py"], Origin("M\n# ///", "d", "p"), "cannot stand in a record"),
-        (["distance.py"], Origin("", "d", "p"), "cannot stand in a record"),
+        (["distance.py"], ORIGIN | {"model": "M\n# ///"}, "cannot stand in a record"),
+        (["distance.py"], ORIGIN | {"model": ""}, "cannot stand in a record"),
         (["none.py"], ORIGIN, r"cannot read .*none\.py"),
         (["distance.py", "other/distance.py"], ORIGIN, "two candidates have the same file name"),
     ],
@@ -186,7 +193,7 @@ def test_bad_input(tmp_path, names, origin, said):
     """Said before anything is tried."""
     written(tmp_path, "distance.py")
     with pytest.raises(ConfigError, match=said):
-        add(TOY, [tmp_path / name for name in names], origin, tmp_path)
+        freeze_best(TOY, [tmp_path / name for name in names], tmp_path, **origin)
 
 
 def test_what_is_too_slow_is_refused(lived):

@@ -10,11 +10,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rrm.errors import PriorError, RefusedCodeError, RrmError
-from rrm.priors import evaluate_prior
 from rrm.priors.language.guards import FUNCTIONS, OPERATIONS, namespace
 from rrm.priors.language.translate import admit
-from rrm.priors.language.vocabulary import ACCESSORS, VALUE
-from rrm.priors.language.vocabulary import FUNCTIONS as SIGNATURES
+from rrm.priors.language.vocabulary import ACCESSORS, SIGNATURES, VALUE
+from rrm.priors.step import evaluate_prior
 from tests.rrm.priors.language.steps import code, random_step
 
 #: One expression each, standing in `return ...`.

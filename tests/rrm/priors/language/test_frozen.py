@@ -10,13 +10,12 @@ from rrm.config import RewardConfig
 from rrm.envs import TASKS, task
 from rrm.errors import ConfigError, PriorError
 from rrm.priors import check_prior, load_prior
-from rrm.priors.language import FROZEN, check, load
+from rrm.priors.language import FROZEN, Candidate, Record, check_frozen, freeze, load_frozen
 from rrm.priors.language.prompt import make_prompt
-from rrm.priors.language.record import Candidate, Record, freeze, sha256
 from rrm.priors.language.translate import admit
 from rrm.priors.step import PriorStep, Scene
 from rrm.training.run_config import RunConfig
-from tests.rrm.priors.language.steps import code, random_step, recorded
+from tests.rrm.priors.language.steps import code, random_step, recorded, sha256
 
 every_task = pytest.mark.parametrize("name", TASKS)
 
@@ -41,7 +40,7 @@ def frozen(folder, body="return step.hand[0]", name="toy-car", file="mine.langua
 @every_task
 def test_every_task_has_one(name):
     """It passes the checker, reads what its task reveals, and its record says what it is."""
-    check(f"{shipped(name)}:reward", task(name))
+    check_frozen(f"{shipped(name)}:reward", task(name))
     check_prior("language", task(name))
     record = recorded(shipped(name))
     text = shipped(name).read_bytes()
@@ -162,11 +161,11 @@ def test_a_frozen_file_is_never_run_as_a_module(tmp_path):
         load_prior(f"{file}:reward")
     file.write_bytes(code("return 0.0"))
     with pytest.raises(ConfigError, match="has no record"):
-        load(f"{file}:reward")
+        load_frozen(f"{file}:reward")
     with pytest.raises(PriorError, match="a language prior is called reward"):
-        load(f"{file}:other")
+        load_frozen(f"{file}:other")
     with pytest.raises(ConfigError, match="cannot read"):
-        check(f"{tmp_path}/none.language.py:reward", task("toy-car"))
+        check_frozen(f"{tmp_path}/none.language.py:reward", task("toy-car"))
     assert not (tmp_path / "ran").exists()
 
 
@@ -186,7 +185,7 @@ def test_damaged_records(tmp_path, change, said):
     file = tmp_path / "mine.language.py"
     file.write_text(file.read_text().replace(*change))
     with pytest.raises(ConfigError, match=rf"mine\.language\.py.*{said}"):
-        load(name)
+        load_frozen(name)
 
 
 def test_identity(tmp_path):

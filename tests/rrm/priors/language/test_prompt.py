@@ -13,8 +13,7 @@ import pytest
 
 from rrm.envs import TASKS, make, task
 from rrm.errors import ConfigError
-from rrm.priors.language.prompt import make_prompt
-from rrm.priors.language.source import source_without_reward, without_reward
+from rrm.priors.language.prompt import make_prompt, source_without_reward, without_reward
 
 pytestmark = pytest.mark.sim
 

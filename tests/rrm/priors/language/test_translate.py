@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from rrm.errors import PriorError
-from rrm.priors import evaluate_prior
 from rrm.priors.language.translate import admit
+from rrm.priors.step import evaluate_prior
 from tests.rrm.priors.language.steps import code, random_step
 
 #: Bodies of the kind that models write, with what stands above them.
