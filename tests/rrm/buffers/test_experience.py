@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from rrm.buffers.experience import Episode, Experience
 from rrm.buffers.replay import Replay
-from rrm.envs import Spaces
+from rrm.envs import FrameSpace, Spaces
 from rrm.errors import CheckpointError
 from rrm.sources.entropy import neighbour_distance
 from rrm.types import Transition
@@ -115,7 +115,8 @@ def test_saved_in_pieces_it_comes_back_whole(tmp_path_factory, episode_lengths, 
     """However often it was saved, and whatever was relabelled between, the restored experience is the same."""
     folder = tmp_path_factory.mktemp("experience")
     whole = lived(episode_lengths, unfinished=unfinished)
-    growing = Experience(1, 1, Spaces(2, 1))
+    spaces = Spaces(2, 1, FrameSpace(1, 2, 1, stack=2))
+    growing = Experience(1, 1, spaces)
     state = growing.save(folder)
     for i, row in enumerate(whole.since(0).tolist()):
         end = int(whole.kind[row])
@@ -123,6 +124,7 @@ def test_saved_in_pieces_it_comes_back_whole(tmp_path_factory, episode_lengths, 
             obs=whole.obs[row].numpy(), act=whole.act[row].numpy(), prior=float(whole.prior[row]),
             raw_prior=float(whole.raw_prior[row]), true_reward=float(whole.true_reward[row]),
             next_obs=whole.obs[row + 1].numpy(), terminated=end == 1, truncated=end == 2,
+            frame=np.full((1, 2, 1), row, np.uint8), next_frame=np.full((1, 2, 1), row + 1, np.uint8),
         )  # fmt: skip
         growing.append(step, -1.0)
         if relabel and i % 3 == 0:
@@ -130,7 +132,7 @@ def test_saved_in_pieces_it_comes_back_whole(tmp_path_factory, episode_lengths, 
         if i % every == 0:
             state = growing.save(folder)
     state = growing.save(folder)
-    restored = Experience(1, 1, Spaces(2, 1))
+    restored = Experience(1, 1, spaces)
     restored.load(folder, state)
     assert restored.episodes == growing.episodes
     assert (restored.rows, restored.transitions) == (growing.rows, growing.transitions)
