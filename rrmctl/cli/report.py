@@ -37,7 +37,7 @@ class Format(StrEnum):
 
 
 class Drawing(StrEnum):
-    """Forms of a figure's file; a test compares with `rrmctl.reports.figure_files`."""
+    """Forms of a figure's file; a test compares with `rrmctl.reports.figure_layout`."""
 
     PNG = "png"
     PDF = "pdf"
@@ -177,7 +177,7 @@ def plot(
     allow_mixed: MixedOption = False,
 ) -> None:
     """Draw the figures that suit an experiment as PNG, PDF and SVG and print their paths."""
-    from rrmctl.reports.figure_files import encode
+    from rrmctl.reports.figure_layout import encode
     from rrmctl.reports.select import of_profile, read_sections
     from rrmctl.reports.statistics import Statistics
 

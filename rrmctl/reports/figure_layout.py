@@ -1,27 +1,59 @@
-"""The outer form that all figures share: heading, a grid of panels, and below them the legend and the notes."""
+"""The sheet that all figures share: heading, panels, legend and notes; how it looks, and how it becomes a file."""
 
 from __future__ import annotations
 
+import contextlib
+import io
 import itertools
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+import re
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, NamedTuple
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
-from rrmctl.reports.figure_files import TEXT, WIDEST, look
-from rrmctl.reports.statistics import Width
+import numpy as np
+
+from rrmctl.errors import UserError
+from rrmctl.reports.captions import short_absent_notes, title
+from rrmctl.reports.series import Section
+from rrmctl.reports.statistics import Statistics, Width
 from rrmctl.reports.styles import LINE, Style
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-#: In font sizes. Long handles, or the marker would hide the gap of a dashed line.
-_LEGEND: dict[str, Any] = {"borderaxespad": 0.2, "columnspacing": 1.4, "handlelength": 3.2}
+#: Forms of a file.
+FORMS = ("png", "pdf", "svg")
+
+#: Fonts are embedded: in PDF as outlines that a printer and a search understand (Type 42), in SVG as paths.
+_LOOK: Any = {
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.linewidth": 0.7,
+    "axes.grid": True,
+    "grid.color": "#DDDDDD",
+    "grid.linewidth": 0.5,
+    "axes.axisbelow": True,
+    "legend.frameon": False,
+    # In font sizes. Long handles, or the marker would hide the gap of a dashed line.
+    "legend.borderaxespad": 0.2,
+    "legend.columnspacing": 1.4,
+    "legend.handlelength": 3.2,
+    "pdf.fonttype": 42,
+    "svg.fonttype": "path",
+    "svg.hashsalt": "rrmctl",  # ids within the file are drawn at random otherwise
+}
+#: Points: those of captions, so that a figure is legible where it is put in at its own size; and those of notes.
+TEXT: dict[Width, tuple[float, float]] = {"column": (7.0, 5.5), "page": (8.0, 6.5)}
+#: Inches.
+WIDEST: dict[Width, float] = {"column": 3.3, "page": 7.0}
 #: Of the width that text may take: on a screen's pixels letters are somewhat wider than on paper.
 _FULL = 0.94
-_NOTE_SIZE: dict[Width, float] = {"column": 5.5, "page": 6.5}
+#: Inches, of a panel above another.
+_ABOVE = 1.4
 
 
 @dataclass(frozen=True)
@@ -32,109 +64,91 @@ class Slot:
     unit: str  #: of the vertical axis
     fill: Callable[[Axes], None]
     across: str = "Environment steps"  #: the horizontal axis
+    above: Callable[[Axes], None] | None = None  #: fills a small panel on top of it
 
 
-class Shape(NamedTuple):
-    """Panels of a figure."""
-
-    down: int
-    across: int
-    width: float  #: inches, of the whole figure
-    height: float  #: inches, of one panel
-
-
-def shape(panels: int, width: Width, most: int = 3) -> Shape:
-    """Panels in reading order: at most three (or `most`) side by side on a page, two in a column (up to three: one)."""
-    if width == "column":
-        across = 1 if panels <= 3 else 2
-        return Shape(math.ceil(panels / across), across, WIDEST[width], 2.0 if across == 1 else 1.55)
-    if panels == 1:
-        return Shape(1, 1, 4.6, 3.0)
-    across = min(panels, most)
-    each = min(WIDEST[width] / 3, WIDEST[width] / across)
-    return Shape(math.ceil(panels / across), across, each * across, 1.95)
-
-
-def cells_sheet(
-    heading: str,
-    cells: Sequence[Slot],
-    *,
-    size: Width,
-    handles: Mapping[str, Style],
-    notes: Iterable[str],
-    most: int = 3,
-) -> Figure:
-    """A figure of equal panels; axes are named where the neighbour's name does not hold."""
-    form = shape(len(cells), size, most)
-    with sheet(
-        heading, [form.height] * form.down, form.across, size=size, width=form.width, handles=handles, notes=notes
-    ) as (figure, grid):
-        for position, axes in enumerate(itertools.chain(*grid)):
-            axes.set_visible(position < len(cells))
-            if position >= len(cells):
-                continue
-            cell, below = cells[position], cells[position + form.across :][:1]
-            cell.fill(axes)
-            panel_title(axes, cell.title, form.width / form.across, size)
-            if not below or below[0].across != cell.across:
-                axes.set_xlabel(cell.across)
-            if position % form.across == 0 or cells[position - 1].unit != cell.unit:
-                axes.set_ylabel(cell.unit)
-    return figure
-
-
-@contextmanager
 def sheet(
-    heading: str,
-    heights: Sequence[float],
-    across: int,
+    section: Section,
+    settings: Statistics,
+    slots: Sequence[Slot],
     *,
-    size: Width,
-    width: float,
-    handles: Mapping[str, Style],
+    legend: Mapping[str, Style],
     notes: Iterable[str],
-) -> Iterator[tuple[Figure, list[list[Axes]]]]:
-    """An empty figure and its axes [len(heights)][across], to be filled inside the `with`.
+    lacking: str,
+    most: int = 3,
+    height: float | None = None,
+) -> Figure:
+    """A figure of equal panels in reading order; axes are named where the neighbour's name does not hold.
 
     Args:
-        heading: above all panels.
-        heights: of each row of panels, inches.
-        across: panels in a row.
-        size: of the letters.
-        width: of the figure, inches.
-        handles: of the legend, by label.
-        notes: sentences for the foot.
+        notes: sentences for the foot; how many of the planned runs the section contains follows them.
+        lacking: what there is not ("no ...") where there are no panels.
+        most: panels side by side on a page; a column has one, or two of more than three.
+        height: of a panel, inches.
+
+    Raises:
+        UserError: there are no panels.
     """
+    if not slots:
+        raise nothing(section, lacking)
+    size, (letters, small) = settings.width, TEXT[settings.width]
+    if size == "column":
+        across = 1 if len(slots) <= 3 else 2
+        wide, usual = WIDEST[size] / across, 2.0 if across == 1 else 1.55
+    else:
+        across = min(len(slots), most)
+        wide, usual = (4.6, 3.0) if across == 1 else (WIDEST[size] / max(across, 3), 1.95)
+    rows = [slots[start : start + across] for start in range(0, len(slots), across)]
+    heights = [tall for row in rows for tall in (*([_ABOVE] if _storeyed(row) else []), height or usual)]
+    width, contents = wide * across, [f"{section.contained} of {section.planned} planned runs."]
+    contents += [*short_absent_notes(section), *section.problems]
     with look(size):
         from matplotlib.figure import Figure
         from matplotlib.lines import Line2D
 
-        point = 1 / 72
-        letters = TEXT[size]
-        columns = _legend_columns(list(handles), width, letters)
-        head = wrapped(heading, letters + 1, width)
-        foot = wrapped(" ".join(notes), _NOTE_SIZE[size], width)
-        above = sum(heights) + len(head) * 1.3 * (letters + 1) * point
-        below = (
-            0.12
-            + 1.55 * letters * point * math.ceil(len(handles) / columns)
-            + 1.38 * _NOTE_SIZE[size] * point * len(foot)
-        )
+        columns = _legend_columns(list(legend), width, letters)
+        head, foot = wrapped(title(section), letters + 1, width), wrapped(" ".join([*notes, *contents]), small, width)
+        above = sum(heights) + len(head) * 1.3 * (letters + 1) / 72
+        below = 0.12 + (1.55 * letters * math.ceil(len(legend) / columns) + 1.38 * small * len(foot)) / 72
         figure = Figure(figsize=(width, above + below), layout="constrained")
         strips: Any = figure.subfigures(2, 1, height_ratios=(above, below))
         upper, lower = strips
         upper.suptitle("\n".join(head), fontsize=letters + 1)
-        grid = upper.subplots(len(heights), across, squeeze=False, gridspec_kw={"height_ratios": heights})
-        lines = [Line2D([], [], label=label, **LINE | each._asdict()) for label, each in handles.items()]
-        lower.legend(handles=lines, loc="upper center", ncols=columns, **_LEGEND)
-        lower.text(0.5, 0.03, "\n".join(foot), ha="center", va="bottom", fontsize=_NOTE_SIZE[size], color="#444444")
-        yield figure, grid.tolist()
+        lines = [Line2D([], [], label=label, **LINE | style._asdict()) for label, style in legend.items()]
+        lower.legend(handles=lines, loc="upper center", ncols=columns)
+        lower.text(0.5, 0.03, "\n".join(foot), ha="center", va="bottom", fontsize=small, color="#444444")
+        grid = iter(upper.subplots(len(heights), across, squeeze=False, gridspec_kw={"height_ratios": heights}))
+        for row, following in itertools.zip_longest(rows, rows[1:], fillvalue=()):
+            tops, axes_row = next(grid) if _storeyed(row) else (), next(grid)
+            for axes in (*tops, *axes_row[len(row) :]):
+                axes.set_visible(False)
+            for place, slot in enumerate(row):
+                axes, before = axes_row[place], row[place - 1] if place else None
+                slot.fill(axes)
+                under = following[place] if place < len(following) else None
+                if under is None or under.across != slot.across or slot.above:
+                    axes.set_xlabel(slot.across)
+                if before is None or before.unit != slot.unit:
+                    axes.set_ylabel(slot.unit)
+                if slot.above:
+                    axes = tops[place]
+                    axes.set_visible(True)
+                    slot.above(axes)
+                named = (wrapped(line, letters + 0.5, wide - 0.3) for line in slot.title.splitlines())
+                axes.set_title("\n".join(itertools.chain(*named)))
+    return figure
 
 
-def panel_title(axes: Axes, text: str, width: float, size: Width) -> None:
-    """A title whose lines are broken where they are wider than a panel that has `width` inches with all about it."""
-    lines = (part for line in text.splitlines() for part in wrapped(line, TEXT[size] + 0.5, width - 0.3))
-    axes.set_title("\n".join(lines))
+def _storeyed(row: Iterable[Slot]) -> bool:
+    return any(slot.above for slot in row)
+
+
+def nothing(section: Section, what: str) -> UserError:
+    """The refusal of a figure for which a section has `what` ("no ..."); to be raised."""
+    return UserError(
+        f"{section.experiment}, profile {section.profile}: {what} to draw",
+        f"`rrmctl run {section.experiment}` makes runs, `rrmctl plot {section.experiment}` draws what suits them",
+    )
 
 
 def wrapped(text: str, letters: float, width: float) -> list[str]:
@@ -160,12 +174,37 @@ def _length(text: str, letters: float) -> float:
 
 def _legend_columns(labels: Sequence[str], width: float, letters: float) -> int:
     """As many columns as fit into `width` inches, at a legend of letters of this many points."""
-    lengths = [_length(label, letters) for label in labels]
-    handle, gap = ((_LEGEND["handlelength"] + 0.8) * letters / 72, _LEGEND["columnspacing"] * letters / 72)
+    beside = (_LOOK["legend.handlelength"] + 0.8 + _LOOK["legend.columnspacing"]) * letters / 72
+    lengths = [_length(label, letters) + beside for label in labels]
     for columns in range(len(labels), 1, -1):
-        rows, longer = divmod(len(labels), columns)  # matplotlib gives its first columns one more
-        starts = [column * rows + min(column, longer) for column in range(columns + 1)]
-        longest = [max(lengths[start:end]) for start, end in itertools.pairwise(starts)]
-        if sum(handle + length + gap for length in longest) <= width:
+        if sum(map(max, np.array_split(lengths, columns))) <= width:  # matplotlib, too, gives the first ones more
             return columns
     return 1
+
+
+def look(width: Width | None = None) -> AbstractContextManager[None]:
+    """Inside of it matplotlib has our settings, for a figure of this width, whatever the user's are."""
+    with contextlib.chdir(Path(__file__).parent):  # a matplotlibrc in the working directory need not even be one
+        from matplotlib.style import context
+
+    size = TEXT[width][0] if width else None
+    names = ("font.size", "axes.labelsize", "legend.fontsize")
+    sizes = dict.fromkeys(names, size) | {"axes.titlesize": size + 0.5} if size else {}
+    return context(["default", _LOOK | sizes])
+
+
+def encode(figure: Figure, form: str, dpi: int = 200) -> bytes:
+    """The figure as a file's content; `form` is one of `FORMS`. Equal figures give equal bytes."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+
+    FigureCanvasAgg(figure)
+    buffer = io.BytesIO()
+    undated = {"pdf": {"CreationDate": None}, "svg": {"Date": None}}.get(form)
+    with look():
+        figure.savefig(buffer, format=form, dpi=dpi, metadata=undated)
+    if form != "svg":
+        return buffer.getvalue()
+    # Ids are counted as they appear: matplotlib digests positions, of which layout varies the last bits.
+    ids: dict[bytes, bytes] = {}
+    named = rb'(?<=["#])[hmp][0-9a-f]{10}(?=[")])'
+    return re.sub(named, lambda id_: ids.setdefault(id_[0], b"i%d" % len(ids)), buffer.getvalue())

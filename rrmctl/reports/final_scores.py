@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -35,30 +35,28 @@ def readings(section: Section, rule: Callable[[Panel], CommonStep]) -> list[Fina
     A method is pooled where it has runs on all of the tasks.
     """
     panels = [panel for panel in section.panels() if panel.comparable()]
-    single = {id(panel): _of_panel(panel, panels, rule(panel)) for panel in panels}
+    single = {}
+    for panel in panels:
+        read = rule(panel)
+        strata = {
+            series.label.method: [scaled(series)[:, int(np.searchsorted(series.steps, read.step))]]
+            for series in panel.present()
+        }
+        single[panel] = FinalScores(panel_name(panel, panels), panel.score, strata, (panel,), read)
+    return [*single.values(), *_pooled(panels, single)]
+
+
+def _pooled(panels: list[Panel], single: dict[Panel, FinalScores]) -> Iterator[FinalScores]:
+    """The tasks together; several groups of them are told apart by teacher and schedule."""
     groups = across_tasks(panels)
-    pooled = [_pooled([single[id(panel)] for panel in group], several=len(groups) > 1) for group in groups]
-    return [*single.values(), *pooled]
+    for group in groups:
+        name = f"{ALL_TASKS}, {group[0].teacher}, {group[0].feedback}" if len(groups) > 1 else ALL_TASKS
+        tasks = [single[panel].strata for panel in group]
+        strata = {method: [task[method][0] for task in tasks] for method in tasks[0] if all(method in t for t in tasks)}
+        yield FinalScores(name, "success", strata, tuple(group), None)
 
 
 def last_step(panel: Panel) -> CommonStep:
     """The last step that is common to the methods of a panel."""
     steps = panel.steps()
     return CommonStep(index=steps.size - 1, step=int(steps[-1]), reached=False, by=())
-
-
-def _of_panel(panel: Panel, panels: Sequence[Panel], read: CommonStep) -> FinalScores:
-    strata = {
-        each.label.method: [scaled(each)[:, int(np.searchsorted(each.steps, read.step))]] for each in panel.present()
-    }
-    return FinalScores(panel_name(panel, panels), panel.score, strata, (panel,), read)
-
-
-def _pooled(group: Sequence[FinalScores], *, several: bool) -> FinalScores:
-    """The tasks together; `several` groups are told apart by teacher and schedule."""
-    first = group[0].panels[0]
-    name = f"{ALL_TASKS}, {first.teacher}, {first.feedback}" if several else ALL_TASKS
-    common = [method for method in group[0].strata if all(method in each.strata for each in group)]
-    strata = {method: [each.strata[method][0] for each in group] for method in common}
-    panels = tuple(panel for each in group for panel in each.panels)
-    return FinalScores(name, "success", strata, panels, None)

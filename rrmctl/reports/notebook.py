@@ -17,15 +17,10 @@ if TYPE_CHECKING:
     from rrmctl.reports.series import Section
 
 
-class FromFrames:
-    """The notebook's side of a figure's `draw`: of one variant of one experiment."""
+def from_frames(draw: Callable[[Section, Statistics], Figure]) -> Callable[..., Figure]:
+    """The notebook's side of a figure's `draw`."""
 
-    def __init__(self, draw: Callable[[Section, Statistics], Figure]) -> None:
-        self._draw = draw
-        self.__doc__ = draw.__doc__
-
-    def __call__(
-        self,
+    def drawn(
         rows: pd.DataFrame,
         jobs: pd.DataFrame | None = None,
         *,
@@ -33,27 +28,17 @@ class FromFrames:
         width: Width = "page",
         replicates: int = REPLICATES,
     ) -> Figure:
-        """Draw it.
+        return draw(one_section(rows, jobs), Statistics(kind=kind, width=width, replicates=replicates))
 
-        Args:
-            rows: one variant of one experiment, as `rrmctl.store.load` returns it.
-            jobs: as `rrmctl.store.planned`, to say which runs are missing.
-            kind: of interquartile mean.
-            width: of the figure: `column` (3.3 inches) or `page` (at most 7).
-            replicates: resampled data sets behind intervals, where it has any.
-
-        Raises:
-            UserError: several variants or experiments at once, runs that do not belong together, or nothing to draw.
-        """
-        return self._draw(one_section(rows, jobs), Statistics(kind=kind, width=width, replicates=replicates))
-
-
-def nothing(section: Section, what: str) -> UserError:
-    """The refusal of a figure for which a section has `what` ("no ..."); to be raised."""
-    return UserError(
-        f"{section.experiment}, profile {section.profile}: {what} to draw",
-        f"`rrmctl run {section.experiment}` makes runs, `rrmctl plot {section.experiment}` draws what suits them",
-    )
+    drawn.__doc__ = f"""{draw.__doc__}
+    Args:
+        rows: one variant of one experiment, as `rrmctl.store.load` returns it; several are refused.
+        jobs: as `rrmctl.store.planned`, to say which runs are missing.
+        kind: of interquartile mean.
+        width: of the figure: `column` (3.3 inches) or `page` (at most 7).
+        replicates: resampled data sets behind intervals, where it has any.
+    """
+    return drawn
 
 
 def one_section(rows: pd.DataFrame, jobs: pd.DataFrame | None) -> Section:
@@ -64,6 +49,6 @@ def one_section(rows: pd.DataFrame, jobs: pd.DataFrame | None) -> Section:
     """
     found = sections(rows, jobs)
     if len(found) != 1:
-        which = ", ".join(f"{each.experiment}/{each.variant}" for each in found) or "none"
+        which = ", ".join(f"{section.experiment}/{section.variant}" for section in found) or "none"
         raise UserError(f"a figure shows one variant of one experiment, not {which}", "filter the rows beforehand")
     return found[0]

@@ -7,16 +7,13 @@ from collections.abc import Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
 from rrmctl.labels import ORACLE
-from rrmctl.reports.captions import short_absent_notes
 from rrmctl.reports.figure_layout import Slot
 from rrmctl.reports.series import Floats, Panel, Section, Series, Steps
 from rrmctl.reports.styles import LINE, Looks, Style
-from rrmctl.stats import iqm, quartiles
+from rrmctl.stats import IqmKind, iqm, quartiles
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-
-    from rrmctl.stats import IqmKind
 
 UNITS = {"success": "Success rate (%)", "return": "Return (true reward)"}
 
@@ -32,27 +29,25 @@ def line(axes: Axes, steps: Steps | Floats, values: Floats, look: Style, positio
     axes.plot(steps, values, **LINE | arguments | other)
 
 
-def band(axes: Axes, steps: Steps, values: Floats, look: Style) -> None:
-    """The quartiles of the seeds, values [S, T]; nothing for a single seed."""
+def curve(axes: Axes, steps: Steps, values: Floats, look: Style, kind: IqmKind, *, position: int, **other: Any) -> None:
+    """The interquartile mean of the seeds, values [S, T], and a band of their quartiles; none for a single seed."""
+    line(axes, steps, iqm(values, kind, axis=0), look, position, **other)
     if len(values) > 1:
-        low, high = quartiles(values, axis=0)
-        axes.fill_between(steps, low, high, color=look.color, alpha=0.14, linewidth=0)
+        axes.fill_between(steps, *quartiles(values, axis=0), color=look.color, alpha=0.14, linewidth=0)
 
 
-def curve(axes: Axes, series: Series, look: Style, kind: IqmKind, position: int) -> None:
-    """A series' interquartile mean and quartiles, success in percent."""
-    values = scaled(series)
+def learning_curve(axes: Axes, series: Series, look: Style, kind: IqmKind, position: int) -> None:
+    """A series' score, success in percent."""
     on_top = 3 if series.label.method == ORACLE else 2  # dots on a line can be seen, a line on dots hides them
-    line(axes, series.steps, iqm(values, kind, axis=0), look, position, zorder=on_top)
-    band(axes, series.steps, values, look)
+    curve(axes, series.steps, scaled(series), look, kind, position=position, zorder=on_top)
 
 
-def curves_cell(name: str, series: Sequence[Series], looks: Looks, kind: IqmKind) -> Slot:
+def curves_slot(name: str, series: Sequence[Series], looks: Looks, kind: IqmKind) -> Slot:
     """A panel of learning curves of one score."""
 
     def fill(axes: Axes) -> None:
         for position, each in enumerate(series):
-            curve(axes, each, looks[each.label.method], kind, position)
+            learning_curve(axes, each, looks[each.label.method], kind, position)
         score_axis(axes, series[0].score)
         step_axis(axes, max(int(each.steps[-1]) for each in series))
 
@@ -64,13 +59,17 @@ def scaled(series: Series) -> Floats:
     return 100 * series.values if series.score == "success" else series.values
 
 
-def methods(series: Iterable[Series], looks: Looks) -> dict[str, Style]:
-    """The legend: an entry for each method, with the number of seeds behind its lines."""
-    found: dict[str, set[int]] = {}
+def legend_of(series: Iterable[Series], looks: Looks) -> dict[str, Style]:
+    """An entry for each method, with the number of seeds behind its lines."""
+    counts: dict[str, list[int]] = {}
     for each in series:
-        found.setdefault(each.label.method, set()).add(each.n)
-    ends = {method: dict.fromkeys((min(counts), max(counts))) for method, counts in found.items()}
-    return {f"{method} (n = {'–'.join(map(str, counts))})": looks[method] for method, counts in ends.items()}
+        counts.setdefault(each.label.method, []).append(each.n)
+    return {f"{method} ({n(seeds)})": looks[method] for method, seeds in counts.items()}
+
+
+def n(counts: Sequence[int]) -> str:
+    """`n = 5`, or the fewest and the most."""
+    return f"n = {'–'.join(map(str, dict.fromkeys((min(counts), max(counts)))))}"
 
 
 def step_axis(axes: Axes, last: int) -> None:
@@ -98,11 +97,11 @@ def told(steps: float) -> str:
 
 def panel_name(panel: Panel, panels: Sequence[Panel]) -> str:
     """The task, and what else tells the panel from the others of its task."""
-    others = [each for each in panels if each.task == panel.task]
+    others = [other for other in panels if other.task == panel.task]
     parts = [panel.task]
-    if len({each.teacher for each in others}) > 1:
+    if len({other.teacher for other in others}) > 1:
         parts.append(f"teacher {panel.teacher}")
-    if len({each.feedback for each in others}) > 1:
+    if len({other.feedback for other in others}) > 1:
         parts.append(panel.feedback)
     return ", ".join(parts)
 
@@ -110,12 +109,5 @@ def panel_name(panel: Panel, panels: Sequence[Panel]) -> str:
 def iqm_notes(section: Section, kind: IqmKind) -> Iterator[str]:
     """What lines and bands are."""
     yield f"Line: interquartile mean over seeds ({kind})."
-    if any(each.n > 1 for each in section.series):
+    if any(series.n > 1 for series in section.series):
         yield "Band: 25 to 75 % of the seeds."
-
-
-def contents(section: Section) -> Iterator[str]:
-    """Notes of every figure: how many of the planned runs it contains, which are missing, what was left out."""
-    yield f"{section.contained} of {section.planned} planned runs."
-    yield from short_absent_notes(section)
-    yield from section.problems

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 from rrmctl.commands import rrmctl
 from rrmctl.errors import UserError
 from rrmctl.reports.captions import title
-from rrmctl.reports.figure_files import encode
+from rrmctl.reports.figure_layout import encode
 from rrmctl.reports.figures import figures
 from rrmctl.reports.page import listings
 from rrmctl.reports.page.parts import Part, Picture, identifier

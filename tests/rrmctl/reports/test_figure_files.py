@@ -8,7 +8,7 @@ from fontTools.ttLib import TTFont
 from matplotlib.figure import Figure
 
 from rrmctl.cli.report import Across, Drawing
-from rrmctl.reports.figure_files import FORMS, WIDEST, encode
+from rrmctl.reports.figure_layout import FORMS, WIDEST, encode
 from rrmctl.reports.figures.box import box_plot
 from rrmctl.reports.figures.curves import learning_curves
 from tests.rrmctl.reports import scenes
