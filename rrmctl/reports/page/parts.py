@@ -44,12 +44,6 @@ class Table:
     def __bool__(self) -> bool:
         return bool(self.rows)
 
-    @property
-    def title(self) -> str:
-        """The caption, and what to do where not everything is shown."""
-        cut = f": the first {self.MOST:,} of {len(self.rows):,} rows; `rrmctl export NAME --to csv -o DIR` writes all"
-        return self.caption + (cut if len(self.rows) > self.MOST else "")
-
 
 class Picture(NamedTuple):
     """A figure with its caption; pressing it enlarges it."""
@@ -80,11 +74,6 @@ class Part:
 
     def __bool__(self) -> bool:
         return any(any(getattr(self, field.name)) for field in fields(self)[3:])  # after those that show nothing
-
-    @property
-    def listed(self) -> list[Part]:
-        """What the list of contents names below it."""
-        return [part for part in self.parts if part and part.id and part.title]
 
 
 def identifier(*words: str) -> str:
