@@ -10,16 +10,12 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
 
 import rrm
 from rrmctl.export.bundle import RUN_COLUMNS, Bundle, Field, described
 from rrmctl.store.files import write_bytes
 from rrmctl.store.inventory import table
 from rrmctl.store.schema import SCHEMA_VERSION
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 #: Raised by one when a column of the files is added, removed, or changes its meaning.
 CSV_VERSION = 1
@@ -55,49 +51,39 @@ def write(bundle: Bundle, folder: Path) -> list[Path]:
     Raises:
         StorageError: the folder takes no write.
     """
-    rows, runs = bundle.evaluations(), table(bundle.runs)
-    files = {
-        "evaluations.csv": _text(rows),
-        "runs.csv": _text(runs),
-        "datapackage.json": json.dumps(
-            _dictionary(bundle, list(rows.columns), list(runs.columns)), indent=1, ensure_ascii=False
-        )
-        + "\n",
-    }
-    for name, text in files.items():
-        write_bytes(folder / name, text.encode())
-    return [folder / name for name in files]
-
-
-def _text(frame: pd.DataFrame) -> str:
-    text: str = frame.to_csv(index=False, lineterminator="\n")
-    return text
-
-
-def _dictionary(bundle: Bundle, columns: list[str], run_columns: list[str]) -> dict[str, Any]:
-    empty = [
-        {**run.labels, "run": run.id, "state": run.plan["state"], "error": run.plan["error"]}
-        for run in bundle.runs
-        if run.curve.empty
-    ]
-    return {
+    frames = {"evaluations": bundle.evaluations(), "runs": table(bundle.runs)}
+    meanings = {"evaluations": described, "runs": (RUN_COLUMNS | OTHER_RUN_COLUMNS).__getitem__}
+    dictionary = {
         "name": bundle.experiment,
         "title": f"Evaluations of the experiment {bundle.experiment}",
         "version": str(CSV_VERSION),
         "generator": {"rrmctl": rrm.__version__, "store_schema_version": SCHEMA_VERSION},
         "resources": [
-            _resource("evaluations", {name: described(name) for name in columns}),
-            _resource("runs", {name: (RUN_COLUMNS | OTHER_RUN_COLUMNS)[name] for name in run_columns}),
+            {
+                "name": name,
+                "path": f"{name}.csv",
+                "format": "csv",
+                "encoding": "utf-8",
+                "schema": {
+                    "fields": [_described(column, *meanings[name](column)) for column in map(str, frame)],
+                    "missingValues": [""],
+                },
+            }
+            for name, frame in frames.items()
         ],
         "planned_runs": len(bundle.runs),
-        "runs_without_rows": empty,
+        "runs_without_rows": [
+            {**run.labels, "run": run.id, "state": run.plan["state"], "error": run.plan["error"]}
+            for run in bundle.runs
+            if run.curve.empty
+        ],
     }
+    texts = {f"{name}.csv": frame.to_csv(index=False, lineterminator="\n") for name, frame in frames.items()}
+    texts["datapackage.json"] = json.dumps(dictionary, indent=1, ensure_ascii=False) + "\n"
+    for name, text in texts.items():
+        write_bytes(folder / name, text.encode())
+    return [folder / name for name in texts]
 
 
-def _resource(resource: str, columns: dict[str, Field]) -> dict[str, Any]:
-    fields = [
-        {"name": name, "type": kind, **({"unit": unit} if unit else {}), "description": meaning}
-        for name, (kind, unit, meaning) in columns.items()
-    ]
-    schema = {"fields": fields, "missingValues": [""]}
-    return {"name": resource, "path": f"{resource}.csv", "format": "csv", "encoding": "utf-8", "schema": schema}
+def _described(column: str, kind: str, unit: str, meaning: str) -> dict[str, str]:
+    return {"name": column, "type": kind, **({"unit": unit} if unit else {}), "description": meaning}
