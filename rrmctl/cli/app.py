@@ -16,7 +16,7 @@ from typer.core import TyperGroup
 import rrm
 from rrm.environ import environment
 from rrm.errors import RrmError
-from rrmctl.cli import clean, demos, explain, export, page, plan, prior, report, run, show, status
+from rrmctl.cli import clean, demos, export, plan, prior, report, run, show, status
 from rrmctl.errors import Exit, UserError, room_error
 from rrmctl.streams import UndeliveredError, attend
 from rrmctl.terminal import console
@@ -134,8 +134,6 @@ _COMMANDS = (
 )
 for _command in _COMMANDS:
     app.command(_command.__name__.rstrip("_"))(_command)  # list_ is the command `list`
-report.report_app.command("html")(page.html)
-report.report_app.command("explain")(explain.explain)
 app.add_typer(report.report_app, name="report")
 app.add_typer(prior.prior_app, name="prior")
 app.add_typer(demos.demos_app, name="demos")

@@ -9,20 +9,18 @@ import typer
 
 from rrm.files import place
 from rrmctl.cli.options import DEFAULT_RESULTS, ResultsOption
+from rrmctl.cli.report import OneNameArgument
 from rrmctl.cli.screen import tell
 from rrmctl.export.formats import formats
 from rrmctl.reports.plugins import choose
 
-
-def _told() -> str:
-    """Every format with the first line of its help."""
-    told = " ".join(f"{name}: {entry.help.splitlines()[0]}" for name, entry in formats().items())
-    return told.replace("[", r"\[")  # brackets are markup there
+#: Every format with the first line of its help; brackets are markup there.
+_FORMATS = " ".join(f"{name}: {entry.help.splitlines()[0]}" for name, entry in formats().items()).replace("[", r"\[")
 
 
 def export(
-    name: Annotated[str, typer.Argument(metavar="NAME", help="An experiment of the store.")],
-    to: Annotated[str, typer.Option("--to", metavar="FORMAT", help=_told())],
+    name: OneNameArgument,
+    to: Annotated[str, typer.Option("--to", metavar="FORMAT", help=_FORMATS)],
     output: Annotated[
         Path,
         typer.Option(
@@ -40,7 +38,7 @@ def export(
     from rrmctl.export.bundle import read
 
     form = choose(formats(), to, "format")
-    bundle = read(results, Path(name).stem if name.endswith(".toml") else name, profile)
+    bundle = read(results, name, profile)
     if not bundle.begun:
         tell(f"note: none of the {len(bundle.runs)} planned runs has an evaluation yet", err=True)
     written = form.load().write(bundle, output)
