@@ -45,9 +45,9 @@ def room_error(error: BaseException) -> RoomError | None:
     if number == errno.EAGAIN or "can't start new thread" in text:
         return RoomError("threads or processes")
     unmapped = "failed to map segment" in text or "cannot allocate memory" in text  # of a library that is loaded
-    return (
-        RoomError("pages of memory") if isinstance(error, MemoryError) or number == errno.ENOMEM or unmapped else None
-    )
+    if isinstance(error, MemoryError) or number == errno.ENOMEM or unmapped:
+        return RoomError("pages of memory")
+    return None
 
 
 def check_known(name: str, known: Collection[str], problem: str, there: str = "known") -> None:

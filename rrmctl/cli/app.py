@@ -18,8 +18,7 @@ from rrm.environ import environment
 from rrm.errors import RrmError
 from rrmctl.cli import clean, demos, export, plan, prior, report, run, show, status
 from rrmctl.errors import Exit, UserError, room_error
-from rrmctl.streams import UndeliveredError, attend
-from rrmctl.terminal import console
+from rrmctl.terminal import UndeliveredError, attend, console
 
 #: Conditions of the machine rather than bugs of the program.
 _MACHINE = {errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOSPC, errno.EDQUOT}

@@ -15,7 +15,7 @@ from rrmctl.store.status import ErrorKind, RunError
 
 if TYPE_CHECKING:
     from rich.console import Console
-    from rich.progress import Progress, TaskID
+    from rich.progress import TaskID
 
 #: Least time between two lines about the evaluations of one job, seconds.
 _EVERY_S = 10.0
@@ -39,8 +39,7 @@ class Lines:
         self._said: dict[str, float] = {}
 
     def started(self, job: str, attempt: int) -> None:
-        again = f", attempt {attempt}" if attempt > 1 else ""
-        self.say(job, f"started{again}")
+        self.say(job, f"started, attempt {attempt}" if attempt > 1 else "started")
 
     def beat(self, job: str, step: int, steps_per_s: float | None) -> None:
         """Nothing: lines are for what lasts."""
@@ -105,11 +104,22 @@ class Bars(Lines):
     """Lines, and below them a bar for each running job and one for all."""
 
     def __init__(self, console: Console, layout: Layout, assignments: Sequence[Assignment]) -> None:
+        from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn
+
         super().__init__(console, layout, assignments)
-        self.progress = _progress(console)
+        self.progress = Progress(
+            TextColumn("{task.description}", markup=False),
+            BarColumn(),
+            TaskProgressColumn(),
+            TextColumn("{task.fields[rate]}", justify="right"),
+            TextColumn("{task.fields[score]}"),
+            TextColumn("{task.fields[left]}", justify="right"),
+            console=console,
+            auto_refresh=False,  # the pool's ticks refresh it: no second thread beside the one that starts processes
+            transient=True,
+        )
         self._bars: dict[str, TaskID] = {}
         self._all = self.progress.add_task("", total=self.total, rate="", score="", left="")
-        self._began = time.monotonic()
         self._steps_done = 0  # of finished jobs
         self._rates: dict[str, float] = {}
         self._at: dict[str, int] = {}
@@ -143,17 +153,13 @@ class Bars(Lines):
             self._steps_done += self._jobs[job].steps
 
     def tick(self) -> None:
-        told = f"{self.over} of {self.total} runs"
-        self.progress.update(self._all, description=told, completed=self.over, left=self._left())
+        left, speed = "", sum(self._rates.values())
+        if speed:  # that of the jobs that run now
+            steps = sum(job.steps for job in self._jobs.values()) - self._steps_done - sum(self._at.values())
+            left = duration(steps / speed / 3600)
+        counts = f"{self.over} of {self.total} runs"
+        self.progress.update(self._all, description=counts, completed=self.over, left=left)
         self.progress.refresh()
-
-    def _left(self) -> str:
-        """Time until all is done, at the speed of the jobs that run now."""
-        speed = sum(self._rates.values())
-        if not speed:
-            return ""
-        steps = sum(job.steps for job in self._jobs.values()) - self._steps_done - sum(self._at.values())
-        return duration(steps / speed / 3600)
 
     def _update(self, job: str, **fields: object) -> None:
         if job in self._bars:
@@ -165,19 +171,3 @@ def score(success: float | None, true_return: float | None) -> str:
     if success is not None:
         return f"success {success:.0%}"
     return "" if true_return is None else f"return {true_return:,.1f}"
-
-
-def _progress(console: Console) -> Progress:
-    from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn
-
-    return Progress(
-        TextColumn("{task.description}", markup=False),
-        BarColumn(),
-        TaskProgressColumn(),
-        TextColumn("{task.fields[rate]}", justify="right"),
-        TextColumn("{task.fields[score]}"),
-        TextColumn("{task.fields[left]}", justify="right"),
-        console=console,
-        auto_refresh=False,  # the pool's ticks refresh it: no second thread beside the one that starts processes
-        transient=True,
-    )

@@ -74,8 +74,7 @@ class Group:
         """Time left, in words: that of the workers while some run, else that of one core; empty where unknown."""
         if not self.open or self.seconds_left is None:
             return ""
-        running = self.counts["running"]
-        hours = self.seconds_left / 3600
+        running, hours = self.counts["running"], self.seconds_left / 3600
         return duration(hours / running) if running else f"{duration(hours)} of one core"
 
     def as_json(self) -> dict[str, Any]:
@@ -87,7 +86,12 @@ class Group:
 def group_by_sweep(sweeps: Iterable[SweepRecord], states: Mapping[str, Status]) -> list[Group]:
     """One group for each variant of each experiment."""
     return [
-        Group(f"{sweep.experiment} ({sweep.variant})", _once(sweep.everything), states, heading="experiment")
+        Group(
+            f"{sweep.experiment} ({sweep.variant})",
+            list({job.id: job for job in sweep.everything}.values()),
+            states,
+            heading="experiment",
+        )
         for sweep in sweeps
     ]
 
@@ -108,18 +112,14 @@ def group_by_row(sweeps: Iterable[SweepRecord], states: Mapping[str, Status]) ->
 
 def errors(jobs: Iterable[JobRecord], states: Mapping[str, Status]) -> dict[str, list[JobRecord]]:
     """Failed, blocked and unreadable runs by what went wrong, the most frequent first."""
-    found: defaultdict[str, list[JobRecord]] = defaultdict(list)
+    stopped: defaultdict[str, list[JobRecord]] = defaultdict(list)
     for job in jobs:
         status = states[job.id]
         if status.state in ("failed", "blocked", "unreadable"):
-            found[str(status.error or "no reason was recorded")].append(job)
-    return dict(sorted(found.items(), key=lambda item: -len(item[1])))
+            stopped[str(status.error or "no reason was recorded")].append(job)
+    return dict(sorted(stopped.items(), key=lambda item: -len(item[1])))
 
 
 def runs(count: int) -> str:
     """`1 run`, `2 runs`."""
     return f"{count} run{'s' if count != 1 else ''}"
-
-
-def _once(jobs: Iterable[JobRecord]) -> list[JobRecord]:
-    return list({job.id: job for job in jobs}.values())

@@ -15,8 +15,7 @@ from typing import TextIO
 
 import typer
 
-from rrmctl.streams import Outlet, UndeliveredError
-from rrmctl.terminal import spelled
+from rrmctl.terminal import Outlet, UndeliveredError, spelled
 
 #: Pieces of text that wait to be written; further ones are dropped.
 _WAITING = 10_000
