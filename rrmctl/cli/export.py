@@ -7,9 +7,8 @@ from typing import Annotated
 
 import typer
 
-from rrm.files import place
 from rrmctl.cli.options import DEFAULT_RESULTS, ResultsOption
-from rrmctl.cli.report import OneNameArgument
+from rrmctl.cli.report import OneNameArgument, into
 from rrmctl.cli.screen import tell
 from rrmctl.export.formats import formats
 from rrmctl.reports.plugins import choose
@@ -21,12 +20,7 @@ _FORMATS = " ".join(f"{name}: {entry.help.splitlines()[0]}" for name, entry in f
 def export(
     name: OneNameArgument,
     to: Annotated[str, typer.Option("--to", metavar="FORMAT", help=_FORMATS)],
-    output: Annotated[
-        Path,
-        typer.Option(
-            "-o", "--output", parser=place, metavar="DIR", help="Folder for the files; made where it is missing."
-        ),
-    ],
+    output: Annotated[Path, into("DIR", "Folder for the files; made where it is missing.")],
     results: ResultsOption = DEFAULT_RESULTS,
     profile: Annotated[str | None, typer.Option("--profile", help="Only runs at this scale. Default: all.")] = None,
 ) -> None:

@@ -122,7 +122,6 @@ class Bars(Lines):
         self._all = self.progress.add_task("", total=self.total, rate="", score="", left="")
         self._steps_done = 0  # of finished jobs
         self._rates: dict[str, float] = {}
-        self._at: dict[str, int] = {}
 
     def started(self, job: str, attempt: int) -> None:
         if attempt > 1:
@@ -131,7 +130,6 @@ class Bars(Lines):
         self._bars[job] = self.progress.add_task(assignment.label, total=assignment.steps, rate="", score="", left="")
 
     def beat(self, job: str, step: int, steps_per_s: float | None) -> None:
-        self._at[job] = step
         if steps_per_s:
             # Smoothed over a few seconds: single beats jump with every feedback session.
             self._rates[job] = 0.9 * self._rates.get(job, steps_per_s) + 0.1 * steps_per_s
@@ -140,7 +138,6 @@ class Bars(Lines):
         self._update(job, completed=step, rate=f"{rate:,.0f} steps/s" if rate else "", left=left)
 
     def row(self, job: str, step: int, success: float | None, true_return: float | None) -> None:
-        self._at[job] = step
         self._update(job, completed=step, score=score(success, true_return))
 
     def ended(self, job: str, outcome: Outcome, phase: Stage) -> None:
@@ -148,14 +145,14 @@ class Bars(Lines):
         if job in self._bars:
             self.progress.remove_task(self._bars.pop(job))
         self._rates.pop(job, None)
-        self._at.pop(job, None)
         if phase in (Stage.DONE, Stage.FAILED, Stage.BLOCKED):
             self._steps_done += self._jobs[job].steps
 
     def tick(self) -> None:
         left, speed = "", sum(self._rates.values())
         if speed:  # that of the jobs that run now
-            steps = sum(job.steps for job in self._jobs.values()) - self._steps_done - sum(self._at.values())
+            running = sum(task.completed for task in self.progress.tasks if task.id != self._all)
+            steps = sum(job.steps for job in self._jobs.values()) - self._steps_done - running
             left = duration(steps / speed / 3600)
         counts = f"{self.over} of {self.total} runs"
         self.progress.update(self._all, description=counts, completed=self.over, left=left)

@@ -6,7 +6,7 @@ import inspect
 from collections.abc import Callable
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -35,6 +35,11 @@ IqmKindOption = StrEnum("IqmKindOption", {"RLIABLE": "rliable", "EXACT": "exact"
 def experiment(name: str) -> str:
     """Experiments are called like their manifest's file; the path of one is understood too."""
     return Path(name).stem if name.endswith(".toml") else name
+
+
+def into(metavar: str, words: str) -> Any:
+    """The option that says where something is written."""
+    return typer.Option("-o", "--output", parser=place, metavar=metavar, help=words)
 
 
 OneNameArgument = Annotated[str, typer.Argument(metavar="NAME", parser=experiment, help="An experiment of the store.")]
@@ -80,12 +85,7 @@ def _table(entry: Entry) -> Callable[..., None]:
         form: Annotated[
             Format, typer.Option("--format", help="csv and json carry raw values: success as a fraction.")
         ] = Format.TERMINAL,
-        output: Annotated[
-            Path | None,
-            typer.Option(
-                "-o", "--output", parser=place, metavar="FILE", help="Write to a file instead of the terminal."
-            ),
-        ] = None,
+        output: Annotated[Path | None, into("FILE", "Write to a file instead of the terminal.")] = None,
         kind: IqmOption = IqmKindOption.RLIABLE,
         profile: ProfileOption = None,
         replicates: ReplicatesOption = 10_000,
@@ -128,12 +128,7 @@ def html(
         list[str] | None,
         typer.Argument(metavar="[NAME]...", parser=experiment, help="Experiments of the store. Default: all."),
     ] = None,
-    output: Annotated[
-        Path,
-        typer.Option(
-            "-o", "--output", parser=place, metavar="FILE", help="The page; its folder is made where it is missing."
-        ),
-    ] = Path("report.html"),
+    output: Annotated[Path, into("FILE", "The page; its folder is made where it is missing.")] = Path("report.html"),
     results: ResultsOption = DEFAULT_RESULTS,
     kind: IqmOption = IqmKindOption.RLIABLE,
     profile: ProfileOption = None,
@@ -176,16 +171,7 @@ def explain(
 def plot(
     name: OneNameArgument,
     results: ResultsOption = DEFAULT_RESULTS,
-    output: Annotated[
-        Path | None,
-        typer.Option(
-            "-o",
-            "--output",
-            parser=place,
-            metavar="DIR",
-            help="Folder for the figures. Default: figures/ in the results.",
-        ),
-    ] = None,
+    output: Annotated[Path | None, into("DIR", "Folder for the figures. Default: figures/ in the results.")] = None,
     wanted: Annotated[
         list[str] | None,
         typer.Option("--figure", metavar="FIGURE", help=f"Only this one, may be repeated: {', '.join(figures())}."),

@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+import itertools
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from rrmctl.labels import ORACLE
-from rrmctl.reports.figure_layout import Slot
+from rrmctl.reports.figure_layout import Slot, sheet
 from rrmctl.reports.series import Floats, Panel, Section, Series, Steps
+from rrmctl.reports.statistics import Statistics
 from rrmctl.reports.styles import LINE, Looks, Style
 from rrmctl.stats import IqmKind, iqm, quartiles
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 UNITS = {"success": "Success rate (%)", "return": "Return (true reward)"}
 
@@ -52,6 +55,27 @@ def curves_slot(name: str, series: Sequence[Series], looks: Looks, kind: IqmKind
         step_axis(axes, max(int(each.steps[-1]) for each in series))
 
     return Slot(name, UNITS[series[0].score], fill)
+
+
+def curves_sheet(
+    section: Section,
+    settings: Statistics,
+    shown: Mapping[str, Sequence[Series]],
+    *,
+    notes: Iterable[str],
+    lacking: str,
+    slot: Callable[[str, Sequence[Series], Looks, IqmKind], Slot] = curves_slot,
+) -> Figure:
+    """A `sheet` with a panel of these series for each name."""
+    looks = section.looks()
+    return sheet(
+        section,
+        settings,
+        [slot(name, series, looks, settings.kind) for name, series in shown.items() if series],
+        legend=legend_of(itertools.chain(*shown.values()), looks),
+        notes=notes,
+        lacking=lacking,
+    )
 
 
 def scaled(series: Series) -> Floats:

@@ -7,9 +7,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from rrmctl.reports.figure_layout import sheet
 from rrmctl.reports.notebook import from_frames
-from rrmctl.reports.plot_elements import curves_slot, iqm_notes, legend_of, panel_name
+from rrmctl.reports.plot_elements import curves_sheet, iqm_notes, panel_name
 from rrmctl.reports.series import Panel, Section, Series
 from rrmctl.reports.statistics import DEFAULTS, Statistics
 from rrmctl.reports.styles import ALONE, parts
@@ -25,19 +24,12 @@ def suits(section: Section) -> bool:
 
 def draw(section: Section, settings: Statistics = DEFAULTS) -> Figure:
     """A panel for each task and prior: the residual model, the prior alone, and what stands on no prior."""
-    panels, looks = section.panels(), section.looks()
-    shown = {
-        f"{panel_name(panel, panels)}: {prior}": series for panel in panels for prior, series in pairs(panel).items()
-    }
-    return sheet(
+    panels = section.panels()
+    return curves_sheet(
         section,
         settings,
-        [curves_slot(name, series, looks, settings.kind) for name, series in shown.items()],
-        legend=legend_of((each for series in shown.values() for each in series), looks),
-        notes=[
-            "Filled: with the residual; hollow and dashed: the prior alone.",
-            *iqm_notes(section, settings.kind),
-        ],
+        {f"{panel_name(panel, panels)}: {prior}": series for panel in panels for prior, series in pairs(panel).items()},
+        notes=["Filled: with the residual; hollow and dashed: the prior alone.", *iqm_notes(section, settings.kind)],
         lacking="no prior with runs both with and without the residual",
     )
 

@@ -7,13 +7,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from rrmctl.reports.figure_layout import Slot, nothing, sheet
+from rrmctl.reports.figure_layout import Slot, nothing
 from rrmctl.reports.notebook import one_section
-from rrmctl.reports.plot_elements import curve, legend_of, panel_name, step_axis
+from rrmctl.reports.plot_elements import curve, curves_sheet, panel_name, step_axis
 from rrmctl.reports.series import Floats, Section, Series, Steps
 from rrmctl.reports.statistics import DEFAULTS, Statistics, Width
 from rrmctl.reports.styles import Looks
@@ -69,16 +70,16 @@ def gradient_norms(
 
 
 def _draw(section: Section, gradients: pd.DataFrame, settings: Statistics) -> Figure:
-    panels, looks, normed = section.panels(), section.looks(), set(gradients["run"])
+    panels, normed = section.panels(), set(gradients["run"])
     shown = {
         panel_name(panel, panels): [_only(series, normed) for series in panel.present() if normed & {*series.runs}]
         for panel in panels
     }
-    return sheet(
+    return curves_sheet(
         section,
         settings,
-        [_slot(name, series, looks, gradients, settings.kind) for name, series in shown.items() if series],
-        legend=legend_of((each for series in shown.values() for each in series), looks),
+        shown,
+        slot=partial(_slot, gradients),
         notes=[
             f"Median over the gradient steps in each {_BINS}th of the run, then the interquartile mean over seeds "
             f"({settings.kind}). Band: 25 to 75 % of the seeds. Grey: where the loss changes.",
@@ -105,7 +106,7 @@ def _counted(section: Section, normed: set[str]) -> Iterator[str]:
             yield f"No norms of {series.label}: {', '.join(lacking)}."
 
 
-def _slot(name: str, shown: Sequence[Series], looks: Looks, gradients: pd.DataFrame, kind: IqmKind) -> Slot:
+def _slot(gradients: pd.DataFrame, name: str, shown: Sequence[Series], looks: Looks, kind: IqmKind) -> Slot:
     last = max(int(series.steps[-1]) for series in shown)
 
     def fill(axes: Axes) -> None:

@@ -5,15 +5,16 @@ People answer for few seeds, whose curves jump; the window is told below the fig
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from rrmctl.reports.figure_layout import Slot, sheet
+from rrmctl.reports.figure_layout import Slot
 from rrmctl.reports.notebook import from_frames
-from rrmctl.reports.plot_elements import curves_slot, iqm_notes, legend_of, line, panel_name, scaled
-from rrmctl.reports.series import Floats, Panel, Section
+from rrmctl.reports.plot_elements import curves_sheet, curves_slot, iqm_notes, line, panel_name, scaled
+from rrmctl.reports.series import Floats, Section, Series
 from rrmctl.reports.statistics import DEFAULTS, Statistics
 from rrmctl.reports.styles import Looks
 from rrmctl.stats import IqmKind, iqm
@@ -35,13 +36,13 @@ def suits(section: Section) -> bool:
 
 def draw(section: Section, settings: Statistics = DEFAULTS) -> Figure:
     """Smoothed learning curves, a panel for each task that people taught (of every task, where they taught none)."""
-    panels, looks = section.panels(), section.looks()
+    panels = section.panels()
     shown = [panel for panel in panels if panel.teacher == HUMAN] or panels
-    return sheet(
+    return curves_sheet(
         section,
         settings,
-        [_slot(panel_name(panel, panels), panel, looks, settings.kind) for panel in shown],
-        legend=legend_of((series for panel in shown for series in panel.present()), looks),
+        {panel_name(panel, panels): panel.present() for panel in shown},
+        slot=_slot,
         notes=[
             f"Each seed is smoothed: centred mean over {WINDOW} evaluations, fewer at the ends. Thin: not smoothed.",
             *iqm_notes(section, settings.kind),
@@ -50,12 +51,12 @@ def draw(section: Section, settings: Statistics = DEFAULTS) -> Figure:
     )
 
 
-def _slot(name: str, panel: Panel, looks: Looks, kind: IqmKind) -> Slot:
-    smoothed = [replace(series, values=smooth(series.values, WINDOW)) for series in panel.present()]
+def _slot(name: str, shown: Sequence[Series], looks: Looks, kind: IqmKind) -> Slot:
+    smoothed = [replace(series, values=smooth(series.values, WINDOW)) for series in shown]
     slot = curves_slot(name, smoothed, looks, kind)
 
     def fill(axes: Axes) -> None:
-        for series in panel.present():
+        for series in shown:
             look = looks[series.label.method]._replace(marker="")
             line(axes, series.steps, iqm(scaled(series), kind, axis=0), look, linewidth=0.5, alpha=0.6)
         slot.fill(axes)
