@@ -11,7 +11,7 @@ from rrmctl.running.scheduler import Ending, Outcome, Stage
 from rrmctl.running.supervisor import Assignment
 from rrmctl.store.layout import Layout
 from rrmctl.store.reader import log_tail
-from rrmctl.store.status import ErrorKind, RunError
+from rrmctl.store.status import ErrorKind
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -55,6 +55,7 @@ class Lines:
     def ended(self, job: str, outcome: Outcome, phase: Stage) -> None:
         if phase in (Stage.DONE, Stage.FAILED, Stage.BLOCKED):
             self.over += 1
+        error, folder = outcome.error, self._layout.run(job)
         match outcome.ending:
             case Ending.DONE:
                 self.say(job, f"done ({self.over} of {self.total})", style="green")
@@ -63,10 +64,15 @@ class Lines:
             case Ending.ELSEWHERE:
                 self.say(job, "is run by another process", style="dim")
             case Ending.BLOCKED:
-                self.say(job, f"not run: {outcome.error}", style="red")
+                self.say(job, f"not run: {error}", style="red")
+            case Ending.FAILED if error and error.kind is ErrorKind.WAITING:
+                self.say(job, f"waits for {error}", style="yellow")
             case Ending.FAILED:
-                assert outcome.error is not None  # a failure says why
-                self._failed(job, outcome.error, phase)
+                after = {Stage.WAITING: "will be tried again", Stage.FAILED: "failed"}.get(phase, "stopped")
+                self.say(job, f"{after}: {error}", style="red")
+                if error and error.kind not in (ErrorKind.REFUSED, ErrorKind.STORAGE, ErrorKind.MISSING):
+                    for line in (*log_tail(folder), f"log: {folder.log}"):  # else the message says it all
+                        self.console.print(f"    {line}", style="dim", soft_wrap=True)
 
     def stopping(self, workers: int, wait_s: float) -> None:
         self.console.print(
@@ -85,19 +91,6 @@ class Lines:
 
         line = Text.assemble((time.strftime("%H:%M:%S "), "dim"), (self._jobs[job].label, "bold"), ": ")
         self.console.print(line.append(text, style), soft_wrap=True)
-
-    def _failed(self, job: str, error: RunError, phase: Stage) -> None:
-        if error.kind is ErrorKind.WAITING:
-            self.say(job, f"waits for {error}", style="yellow")
-            return
-        after = {Stage.WAITING: "will be tried again", Stage.FAILED: "failed"}.get(phase, "stopped")
-        self.say(job, f"{after}: {error}", style="red")
-        folder = self._layout.run(job)
-        if error.kind in (ErrorKind.REFUSED, ErrorKind.STORAGE, ErrorKind.MISSING):
-            return  # the message says it all
-        for line in log_tail(folder):
-            self.console.print(f"    {line}", style="dim", soft_wrap=True)
-        self.console.print(f"    log: {folder.log}", style="dim", soft_wrap=True)
 
 
 class Bars(Lines):

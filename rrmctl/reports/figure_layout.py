@@ -99,14 +99,18 @@ def sheet(
         across = min(len(slots), most)
         wide, usual = (4.6, 3.0) if across == 1 else (WIDEST[size] / max(across, 3), 1.95)
     rows = [slots[start : start + across] for start in range(0, len(slots), across)]
-    heights = [tall for row in rows for tall in (*([_ABOVE] if _storeyed(row) else []), height or usual)]
+    storeyed = [any(slot.above for slot in row) for row in rows]
+    heights = [tall for two in storeyed for tall in (*([_ABOVE] if two else []), height or usual)]
     width, contents = wide * across, [f"{section.contained} of {section.planned} planned runs."]
     contents += [*short_absent_notes(section), *section.problems]
     with look(size):
         from matplotlib.figure import Figure
         from matplotlib.lines import Line2D
 
-        columns = _legend_columns(list(legend), width, letters)
+        beside = (_LOOK["legend.handlelength"] + 0.8 + _LOOK["legend.columnspacing"]) * letters / 72
+        lengths = [_length(label, letters) + beside for label in legend]
+        fit = (n for n in range(len(lengths), 1, -1) if sum(map(max, np.array_split(lengths, n))) <= width)
+        columns = next(fit, 1)  # matplotlib splits entries as numpy does
         head, foot = wrapped(title(section), letters + 1, width), wrapped(" ".join([*notes, *contents]), small, width)
         above = sum(heights) + len(head) * 1.3 * (letters + 1) / 72
         below = 0.12 + (1.55 * letters * math.ceil(len(legend) / columns) + 1.38 * small * len(foot)) / 72
@@ -118,8 +122,8 @@ def sheet(
         lower.legend(handles=lines, loc="upper center", ncols=columns)
         lower.text(0.5, 0.03, "\n".join(foot), ha="center", va="bottom", fontsize=small, color="#444444")
         grid = iter(upper.subplots(len(heights), across, squeeze=False, gridspec_kw={"height_ratios": heights}))
-        for row, following in itertools.zip_longest(rows, rows[1:], fillvalue=()):
-            tops, axes_row = next(grid) if _storeyed(row) else (), next(grid)
+        for row, following, two in zip(rows, [*rows[1:], ()], storeyed, strict=True):
+            tops, axes_row = next(grid) if two else (), next(grid)
             for axes in (*tops, *axes_row[len(row) :]):
                 axes.set_visible(False)
             for place, slot in enumerate(row):
@@ -137,10 +141,6 @@ def sheet(
                 named = (wrapped(line, letters + 0.5, wide - 0.3) for line in slot.title.splitlines())
                 axes.set_title("\n".join(itertools.chain(*named)))
     return figure
-
-
-def _storeyed(row: Iterable[Slot]) -> bool:
-    return any(slot.above for slot in row)
 
 
 def nothing(section: Section, what: str) -> UserError:
@@ -170,16 +170,6 @@ def _length(text: str, letters: float) -> float:
 
     wide, _, _ = text_to_path.get_text_width_height_descent(text, FontProperties(size=letters), ismath=False)
     return float(wide) / 72
-
-
-def _legend_columns(labels: Sequence[str], width: float, letters: float) -> int:
-    """As many columns as fit into `width` inches, at a legend of letters of this many points."""
-    beside = (_LOOK["legend.handlelength"] + 0.8 + _LOOK["legend.columnspacing"]) * letters / 72
-    lengths = [_length(label, letters) + beside for label in labels]
-    for columns in range(len(labels), 1, -1):
-        if sum(map(max, np.array_split(lengths, columns))) <= width:  # matplotlib, too, gives the first ones more
-            return columns
-    return 1
 
 
 def look(width: Width | None = None) -> AbstractContextManager[None]:

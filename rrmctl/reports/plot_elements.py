@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
@@ -39,18 +38,14 @@ def curve(axes: Axes, steps: Steps, values: Floats, look: Style, kind: IqmKind, 
         axes.fill_between(steps, *quartiles(values, axis=0), color=look.color, alpha=0.14, linewidth=0)
 
 
-def learning_curve(axes: Axes, series: Series, look: Style, kind: IqmKind, position: int) -> None:
-    """A series' score, success in percent."""
-    on_top = 3 if series.label.method == ORACLE else 2  # dots on a line can be seen, a line on dots hides them
-    curve(axes, series.steps, scaled(series), look, kind, position=position, zorder=on_top)
-
-
 def curves_slot(name: str, series: Sequence[Series], looks: Looks, kind: IqmKind) -> Slot:
     """A panel of learning curves of one score."""
 
     def fill(axes: Axes) -> None:
         for position, each in enumerate(series):
-            learning_curve(axes, each, looks[each.label.method], kind, position)
+            method = each.label.method
+            on_top = 3 if method == ORACLE else 2  # dots on a line can be seen, a line on dots hides them
+            curve(axes, each.steps, scaled(each), looks[method], kind, position=position, zorder=on_top)
         score_axis(axes, series[0].score)
         step_axis(axes, max(int(each.steps[-1]) for each in series))
 
@@ -72,7 +67,7 @@ def curves_sheet(
         section,
         settings,
         [slot(name, series, looks, settings.kind) for name, series in shown.items() if series],
-        legend=legend_of(itertools.chain(*shown.values()), looks),
+        legend=legend_of(((each.label.method, each.n) for series in shown.values() for each in series), looks),
         notes=notes,
         lacking=lacking,
     )
@@ -83,17 +78,13 @@ def scaled(series: Series) -> Floats:
     return 100 * series.values if series.score == "success" else series.values
 
 
-def legend_of(series: Iterable[Series], looks: Looks) -> dict[str, Style]:
-    """An entry for each method, with the number of seeds behind its lines."""
+def legend_of(lines: Iterable[tuple[str, int]], looks: Looks) -> dict[str, Style]:
+    """An entry for each method, of lines with their method and number of runs: `pebble (n = 5)`, or fewest and most."""
     counts: dict[str, list[int]] = {}
-    for each in series:
-        counts.setdefault(each.label.method, []).append(each.n)
-    return {f"{method} ({n(seeds)})": looks[method] for method, seeds in counts.items()}
-
-
-def n(counts: Sequence[int]) -> str:
-    """`n = 5`, or the fewest and the most."""
-    return f"n = {'–'.join(map(str, dict.fromkeys((min(counts), max(counts)))))}"
+    for method, runs in lines:
+        counts.setdefault(method, []).append(runs)
+    ends = {method: dict.fromkeys((min(runs), max(runs))) for method, runs in counts.items()}
+    return {f"{method} (n = {'–'.join(map(str, numbers))})": looks[method] for method, numbers in ends.items()}
 
 
 def step_axis(axes: Axes, last: int) -> None:

@@ -17,9 +17,9 @@ from rrmctl.reports.figure_layout import Slot, sheet
 from rrmctl.reports.final_scores import FinalScores, readings
 from rrmctl.reports.notebook import from_frames
 from rrmctl.reports.plot_elements import UNITS, legend_of, line, score_axis, step_axis
-from rrmctl.reports.series import Floats, Panel, Section, at_steps
+from rrmctl.reports.series import Panel, Section, at_steps
 from rrmctl.reports.statistics import DEFAULTS, Statistics
-from rrmctl.reports.styles import Looks, Style
+from rrmctl.reports.styles import Looks
 from rrmctl.stats import MIN_RUNS, CommonStep, IqmKind, iqm, mean, quartiles
 from rrmctl.stats.curves import SHARE
 
@@ -53,7 +53,9 @@ def draw(section: Section, settings: Statistics = DEFAULTS) -> Figure:
         section,
         settings,
         [_slot(cell, names, looks, settings.kind) for cell in cells],
-        legend=legend_of((each for cell in cells for panel in cell.panels for each in panel.present()), looks),
+        legend=legend_of(
+            ((each.label.method, each.n) for cell in cells for panel in cell.panels for each in panel.present()), looks
+        ),
         notes=_notes(cells, settings.kind),
         lacking="no runs that can be compared at one step",
         height=_FRAME + _ROW * len(names),
@@ -90,11 +92,23 @@ def _draw_rule(axes: Axes, panel: Panel, read: CommonStep, looks: Looks) -> None
 def _draw_boxes(axes: Axes, cell: FinalScores, names: Sequence[str], looks: Looks, kind: IqmKind) -> None:
     """A row for each method, the first on top; its mean stands at the right."""
     for row, method in enumerate(names):
-        if method in cell.strata:
-            y = len(names) - 1 - row
-            _draw_box(axes, y, cell.runs(method), looks[method], kind)
-            told = f"{mean(cell.runs(method)):{'.1f' if cell.score == 'success' else ',.0f'}}"
-            axes.annotate(told, (1.05, y), xycoords=("axes fraction", "data"), va="center", fontsize="small")
+        if method not in cell.strata:
+            continue
+        y, look, scores = len(names) - 1 - row, looks[method], cell.runs(method)
+        center, (low, high) = float(mean(scores)), map(float, quartiles(scores))
+        colours: Any = {"facecolor": f"{look.color}30", "edgecolor": look.color}
+        axes.barh(y, high - low, left=low, height=0.62, linewidth=0.9, **colours)
+        axes.plot([center, center], [y - 0.31, y + 0.31], color=look.color, linewidth=1.8, solid_capstyle="butt")
+        heights = np.full(scores.size, float(y))  # equal scores lie beside one another
+        for value in np.unique(scores):
+            same = np.flatnonzero(scores == value)
+            if same.size > 1:
+                heights[same] += np.linspace(-0.24, 0.24, same.size)
+        seeds: dict[str, Any] = look._asdict() | {"linestyle": "none", "marker": look.marker or "o"}
+        axes.plot(scores, heights, markersize=2.8, markeredgewidth=0.5, alpha=0.85, clip_on=False, **seeds)
+        axes.plot(float(iqm(scores, kind)), y, linestyle="none", zorder=4, clip_on=False, **_DIAMOND)
+        told = f"{center:.1f}" if cell.score == "success" else f"{center:,.0f}"
+        axes.annotate(told, (1.05, y), xycoords=("axes fraction", "data"), va="center", fontsize="small")
     for oracle in filter(knows, cell.strata):
         dots, center = looks[oracle], float(mean(cell.runs(oracle)))
         axes.axvline(center, color=dots.color, linestyle=dots.linestyle, linewidth=1.2, zorder=1)
@@ -104,23 +118,6 @@ def _draw_boxes(axes: Axes, cell: FinalScores, names: Sequence[str], looks: Look
     axes.set_yticks(range(len(names)), reversed(names) if _is_first(axes) else [""] * len(names))
     axes.tick_params(axis="y", length=0)
     axes.grid(visible=False, axis="y")
-
-
-def _draw_box(axes: Axes, y: int, scores: Floats, look: Style, kind: IqmKind) -> None:
-    center = float(mean(scores))
-    low, high = (float(edge) for edge in quartiles(scores))
-    axes.barh(y, high - low, left=low, height=0.62, facecolor=f"{look.color}30", edgecolor=look.color, linewidth=0.9)
-    axes.plot([center, center], [y - 0.31, y + 0.31], color=look.color, linewidth=1.8, solid_capstyle="butt")
-    heights = np.full(scores.size, float(y))  # equal scores lie beside one another
-    for value in np.unique(scores):
-        same = np.flatnonzero(scores == value)
-        if same.size > 1:
-            heights[same] += np.linspace(-0.24, 0.24, same.size)
-    axes.plot(
-        scores, heights, linestyle="none", marker=look.marker or "o", markersize=2.8, color=look.color,
-        markerfacecolor=look.markerfacecolor, markeredgewidth=0.5, alpha=0.85, clip_on=False,
-    )  # fmt: skip
-    axes.plot(float(iqm(scores, kind)), y, linestyle="none", zorder=4, clip_on=False, **_DIAMOND)
 
 
 def _is_first(axes: Axes) -> bool:

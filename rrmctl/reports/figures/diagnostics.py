@@ -6,7 +6,6 @@ the agreement with the labels it was trained on and with the true reward on fres
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 from rrmctl.labels import ORACLE
@@ -48,16 +47,12 @@ def draw(section: Section, settings: Statistics = DEFAULTS) -> Figure:
         section,
         settings,
         [
-            slot
+            _slot(f"{panel_name(panel, panels)}\n{series.label.method}", unit, series, own, settings.kind)
             for panel in panels
             for series in panel.present()
             if series in shown
-            for slot in _slots(
-                f"{panel_name(panel, panels)}\n{series.label.method}",
-                series,
-                _looks(section.looks()[series.label.method].color),
-                settings.kind,
-            )
+            for own in [_looks(section.looks()[series.label.method].color)]
+            for unit in _PANELS
         ],
         legend={name: looks[column] for columns in _PANELS.values() for column, name in columns.items()},
         notes=[
@@ -87,20 +82,17 @@ def _looks(colour: str) -> Looks:
     }
 
 
-def _slots(name: str, series: Series, looks: Looks, kind: IqmKind) -> Iterator[Slot]:
-    def slot(unit: str, percent: bool) -> Slot:
-        def fill(axes: Axes) -> None:
-            for position, column in enumerate(_PANELS[unit]):
-                steps, values = finite(*series.measure(column))
-                if steps.size:
-                    curve(axes, steps, 100 * values if percent else values, looks[column], kind, position=position)
-            if percent:
-                score_axis(axes, "success")
-            step_axis(axes, int(series.steps[-1]))
+def _slot(name: str, unit: str, series: Series, looks: Looks, kind: IqmKind) -> Slot:
+    def fill(axes: Axes) -> None:
+        for position, column in enumerate(_PANELS[unit]):
+            steps, values = finite(*series.measure(column))
+            if steps.size:
+                curve(axes, steps, 100 * values if "%" in unit else values, looks[column], kind, position=position)
+        if "%" in unit:
+            score_axis(axes, "success")
+        step_axis(axes, int(series.steps[-1]))
 
-        return Slot(name, unit, fill)
-
-    return (slot(unit, "%" in unit) for unit in _PANELS)
+    return Slot(name, unit, fill)
 
 
 diagnostics = from_frames(draw)

@@ -65,7 +65,7 @@ def draw(section: Section, settings: Statistics = DEFAULTS) -> Figure:
         section,
         settings,
         [_slot(group, several, looks, settings) for group in [*([sweep] for sweep in sweeps), *means]],
-        legend=legend_of((series for sweep in sweeps for series in sweep.series.values()), looks),
+        legend=legend_of(((each.label.method, each.n) for sweep in sweeps for each in sweep.series.values()), looks),
         notes=[
             f"Points: mean over the evaluation steps of the interquartile mean over seeds ({settings.kind}), with its "
             f"{SURE} bootstrap interval. Small and hollow: the interquartile mean at the last step.",

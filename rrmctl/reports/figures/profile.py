@@ -13,7 +13,7 @@ import numpy as np
 from rrmctl.reports.figure_layout import Slot, sheet
 from rrmctl.reports.final_scores import FinalScores, last_step, readings
 from rrmctl.reports.notebook import from_frames
-from rrmctl.reports.plot_elements import UNITS, line, n, score_axis
+from rrmctl.reports.plot_elements import UNITS, legend_of, line, score_axis
 from rrmctl.reports.series import Section
 from rrmctl.reports.statistics import BOOTSTRAP_SEED, DEFAULTS, LEVEL, SURE, Statistics
 from rrmctl.reports.styles import Looks
@@ -35,15 +35,11 @@ def suits(section: Section) -> bool:
 def draw(section: Section, settings: Statistics = DEFAULTS) -> Figure:
     """A panel for the success tasks together, and one for each task that is scored by return."""
     cells, looks = _readings(section), section.looks()
-    counts: dict[str, list[int]] = {}
-    for cell in cells:
-        for method in cell.strata:
-            counts.setdefault(method, []).append(cell.runs(method).size)
     return sheet(
         section,
         settings,
         [_slot(cell, looks, settings) for cell in cells],
-        legend={f"{method} ({n(runs)})": looks[method] for method, runs in counts.items()},
+        legend=legend_of(((method, cell.runs(method).size) for cell in cells for method in cell.strata), looks),
         notes=[
             "Line: share of the runs whose score at the last step is higher. "
             f"Band: {SURE} at each score by itself, bootstrap over seeds, stratified by task.",
