@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, NamedTuple
 
 import pandas as pd
 
@@ -30,10 +30,6 @@ class Column(NamedTuple):
 @dataclass(frozen=True)
 class Table:
     """A table that sorts, and that scrolls within itself where the window is narrow; one without rows is left out."""
-
-    MOST: ClassVar = 2_000  #: rows that are shown; more of one table would make the page slow
-    PORTRAIT: ClassVar = 11  #: columns that fit onto a sheet of paper held upright; more are printed across
-    LONG: ClassVar = 40  #: letters beyond which a cell may be broken into lines
 
     caption: str
     columns: Sequence[Column]
