@@ -9,6 +9,7 @@ exactly.
 from __future__ import annotations
 
 import json
+import tomllib
 from pathlib import Path
 
 import rrm
@@ -21,27 +22,9 @@ from rrmctl.store.schema import SCHEMA_VERSION
 CSV_VERSION = 1
 
 #: Columns of runs.csv that evaluations.csv lacks, or uses for something else.
-OTHER_RUN_COLUMNS: dict[str, Field] = {
-    "overrides": Field("string", "", "settings that were changed for the whole variant, JSON"),
-    "attempt": Field("integer", "", "how often a worker took the run up"),
-    "step": Field("integer", "environment steps", "last known step of the run"),
-    "steps": Field("integer", "environment steps", "length of the run"),
-    "error": Field("string", "", "why it failed; empty where it did not"),
-    "evaluations": Field("integer", "rows", "its rows in evaluations.csv"),
-    "queries": Field("integer", "queries", "queries put to the teacher"),
-    "labels": Field("integer", "labels", "labels kept"),
-    "wall_s": Field("number", "s", "training time, interruptions left out"),
-    "started": Field("string", "", "when its first attempt began, ISO 8601"),
-    "host": Field("string", "", "name of the machine"),
-    "cpu": Field("string", "", "processor of the machine"),
-    "platform": Field("string", "", "system and machine type"),
-    "python": Field("string", "", "version of Python"),
-    "precision": Field("string", "", "of the products between hidden layers"),
-    "threads": Field("integer", "threads", "threads of torch"),
-    "code": Field("string", "", "digest of the library's sources"),
-    "config_version": Field("integer", "", "version of the configuration; another one is other random streams"),
-    "resumed": Field("integer", "", "how often it went on after an interruption"),
-    "versions": Field("string", "", "versions of the packages that can change a number, JSON"),
+OTHER_RUN_COLUMNS = {
+    name: Field(column["type"], column.get("unit", ""), column["meaning"])
+    for name, column in tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8")).items()
 }
 
 
