@@ -19,7 +19,7 @@ from rrmctl.errors import UserError
 from rrmctl.reports.captions import short_absent_notes, title
 from rrmctl.reports.series import Section
 from rrmctl.reports.statistics import Statistics, Width
-from rrmctl.reports.styles import LINE, Style
+from rrmctl.reports.styles import Style
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -28,24 +28,6 @@ if TYPE_CHECKING:
 #: Forms of a file.
 FORMS = ("png", "pdf", "svg")
 
-#: Fonts are embedded: in PDF as outlines that a printer and a search understand (Type 42), in SVG as paths.
-_LOOK: Any = {
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.linewidth": 0.7,
-    "axes.grid": True,
-    "grid.color": "#DDDDDD",
-    "grid.linewidth": 0.5,
-    "axes.axisbelow": True,
-    "legend.frameon": False,
-    # In font sizes. Long handles, or the marker would hide the gap of a dashed line.
-    "legend.borderaxespad": 0.2,
-    "legend.columnspacing": 1.4,
-    "legend.handlelength": 3.2,
-    "pdf.fonttype": 42,
-    "svg.fonttype": "path",
-    "svg.hashsalt": "rrmctl",  # ids within the file are drawn at random otherwise
-}
 #: Points: those of captions, so that a figure is legible where it is put in at its own size; and those of notes.
 TEXT: dict[Width, tuple[float, float]] = {"column": (7.0, 5.5), "page": (8.0, 6.5)}
 #: Inches.
@@ -104,10 +86,11 @@ def sheet(
     width, contents = wide * across, [f"{section.contained} of {section.planned} planned runs."]
     contents += [*short_absent_notes(section), *section.problems]
     with look(size):
+        from matplotlib import rcParams
         from matplotlib.figure import Figure
         from matplotlib.lines import Line2D
 
-        beside = (_LOOK["legend.handlelength"] + 0.8 + _LOOK["legend.columnspacing"]) * letters / 72
+        beside = (rcParams["legend.handlelength"] + 0.8 + rcParams["legend.columnspacing"]) * letters / 72
         lengths = [_length(label, letters) + beside for label in legend]
         fit = (n for n in range(len(lengths), 1, -1) if sum(map(max, np.array_split(lengths, n))) <= width)
         columns = next(fit, 1)  # matplotlib splits entries as numpy does
@@ -118,7 +101,7 @@ def sheet(
         strips: Any = figure.subfigures(2, 1, height_ratios=(above, below))
         upper, lower = strips
         upper.suptitle("\n".join(head), fontsize=letters + 1)
-        lines = [Line2D([], [], label=label, **LINE | style._asdict()) for label, style in legend.items()]
+        lines = [Line2D([], [], label=label, **style._asdict()) for label, style in legend.items()]
         lower.legend(handles=lines, loc="upper center", ncols=columns)
         lower.text(0.5, 0.03, "\n".join(foot), ha="center", va="bottom", fontsize=small, color="#444444")
         grid = iter(upper.subplots(len(heights), across, squeeze=False, gridspec_kw={"height_ratios": heights}))
@@ -177,10 +160,8 @@ def look(width: Width | None = None) -> AbstractContextManager[None]:
     with contextlib.chdir(Path(__file__).parent):  # a matplotlibrc in the working directory need not even be one
         from matplotlib.style import context
 
-    size = TEXT[width][0] if width else None
-    names = ("font.size", "axes.labelsize", "legend.fontsize")
-    sizes = dict.fromkeys(names, size) | {"axes.titlesize": size + 0.5} if size else {}
-    return context(["default", _LOOK | sizes])
+    letters: Any = {"font.size": TEXT[width][0], "axes.titlesize": TEXT[width][0] + 0.5} if width else {}
+    return context(["default", Path(__file__).with_suffix(".mplstyle"), letters])
 
 
 def encode(figure: Figure, form: str, dpi: int = 200) -> bytes:

@@ -10,7 +10,7 @@ from rrmctl.labels import ORACLE
 from rrmctl.reports.figure_layout import Slot, sheet
 from rrmctl.reports.series import Floats, Panel, Section, Series, Steps
 from rrmctl.reports.statistics import Statistics
-from rrmctl.reports.styles import LINE, Looks, Style
+from rrmctl.reports.styles import Looks, Style
 from rrmctl.stats import IqmKind, iqm, quartiles
 
 if TYPE_CHECKING:
@@ -28,7 +28,7 @@ def line(axes: Axes, steps: Steps | Floats, values: Floats, look: Style, positio
     # A line without markers has nothing to show at a single step.
     marker = look.marker or ("." if steps.size == 1 else "")
     arguments: dict[str, Any] = look._asdict() | {"marker": marker, "markevery": (position % every, every)}
-    axes.plot(steps, values, **LINE | arguments | other)
+    axes.plot(steps, values, **arguments | other)
 
 
 def curve(axes: Axes, steps: Steps, values: Floats, look: Style, kind: IqmKind, *, position: int, **other: Any) -> None:

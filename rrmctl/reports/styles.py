@@ -35,8 +35,6 @@ class Style(NamedTuple):
 Looks = Mapping[str, Style]
 Hue = tuple[str, Marker]
 
-#: What every line has, for matplotlib's `plot`.
-LINE: dict[str, Any] = {"linewidth": 1.3, "markersize": 3.8, "markeredgewidth": 0.8}
 #: The family of agents that are trained on a prior alone.
 ALONE = "sac"
 #: The share of white in the colour of a method with a suffix that no table has.

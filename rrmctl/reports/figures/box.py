@@ -30,7 +30,6 @@ if TYPE_CHECKING:
 #: Inches: a method's row, and what a panel of boxes needs beside its rows.
 _ROW, _FRAME = 0.25, 0.7
 _GREY = "#555555"
-_DIAMOND: dict[str, Any] = {"marker": "D", "markersize": 4, "markerfacecolor": "white", "markeredgecolor": "black"}
 
 
 def suits(section: Section) -> bool:
@@ -106,7 +105,8 @@ def _draw_boxes(axes: Axes, cell: FinalScores, names: Sequence[str], looks: Look
                 heights[same] += np.linspace(-0.24, 0.24, same.size)
         seeds: dict[str, Any] = look._asdict() | {"linestyle": "none", "marker": look.marker or "o"}
         axes.plot(scores, heights, markersize=2.8, markeredgewidth=0.5, alpha=0.85, clip_on=False, **seeds)
-        axes.plot(float(iqm(scores, kind)), y, linestyle="none", zorder=4, clip_on=False, **_DIAMOND)
+        diamond: Any = {"markersize": 4, "markeredgewidth": 1, "markerfacecolor": "white", "markeredgecolor": "black"}
+        axes.plot(float(iqm(scores, kind)), y, "D", zorder=4, clip_on=False, **diamond)
         told = f"{center:.1f}" if cell.score == "success" else f"{center:,.0f}"
         axes.annotate(told, (1.05, y), xycoords=("axes fraction", "data"), va="center", fontsize="small")
     for oracle in filter(knows, cell.strata):

@@ -15,7 +15,7 @@ import numpy as np
 from rrmctl.reports.figure_layout import Slot, nothing
 from rrmctl.reports.notebook import one_section
 from rrmctl.reports.plot_elements import curve, curves_sheet, panel_name, step_axis
-from rrmctl.reports.series import Floats, Section, Series, Steps
+from rrmctl.reports.series import Section, Series
 from rrmctl.reports.statistics import DEFAULTS, Statistics, Width
 from rrmctl.reports.styles import Looks
 from rrmctl.stats import IqmKind
@@ -108,15 +108,19 @@ def _counted(section: Section, normed: set[str]) -> Iterator[str]:
 
 def _slot(gradients: pd.DataFrame, name: str, shown: Sequence[Series], looks: Looks, kind: IqmKind) -> Slot:
     last = max(int(series.steps[-1]) for series in shown)
+    length = last / _BINS
 
     def fill(axes: Axes) -> None:
         for position, series in enumerate(shown):
             own = gradients[gradients["run"].isin(series.runs)]
             tuned = own["loss"] == _FINE_TUNING
-            for _, phase in own.groupby(tuned):
-                steps, norms = binned(phase, series.runs, last / _BINS)
-                if steps.size:
-                    curve(axes, steps, norms, looks[series.label.method], kind, position=position)
+            bins = (own["step"] // length).rename("bin")
+            for _, phase in own.groupby(tuned):  # medians of each run where all have one
+                medians = phase.groupby([phase["run"], bins])["gradient_norm"].median().unstack("bin")
+                norms = medians.reindex(list(series.runs)).dropna(axis="columns")
+                if norms.size:
+                    middles = ((norms.columns.to_numpy(dtype=np.float64) + 0.5) * length).astype(np.int64)
+                    curve(axes, middles, norms.to_numpy(), looks[series.label.method], kind, position=position)
             before = own["step"][~tuned]
             if len(before):
                 axes.axvline(int(before.max()), color="#555555", linewidth=0.8, linestyle=(0, (3, 2)), zorder=1)
@@ -124,12 +128,3 @@ def _slot(gradients: pd.DataFrame, name: str, shown: Sequence[Series], looks: Lo
         step_axis(axes, last)
 
     return Slot(name, "Norm of the reward's gradient", fill)
-
-
-def binned(gradients: pd.DataFrame, runs: Sequence[str], length: float) -> tuple[Steps, Floats]:
-    """Medians of each run in bins of `length` steps, where all runs have one: middles [T], and norms [S, T]."""
-    bins = (gradients["step"] // length).rename("bin")
-    table = gradients.groupby([gradients["run"], bins])["gradient_norm"].median().unstack("bin").reindex(list(runs))
-    table = table.dropna(axis="columns")
-    middles = (table.columns.to_numpy(dtype=np.float64) + 0.5) * length
-    return middles.astype(np.int64), table.to_numpy(dtype=np.float64)

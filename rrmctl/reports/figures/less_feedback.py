@@ -22,7 +22,7 @@ from rrmctl.reports.plot_elements import UNITS, legend_of, score_axis, told
 from rrmctl.reports.scores import read_together, score
 from rrmctl.reports.series import Floats, Section, Series
 from rrmctl.reports.statistics import DEFAULTS, SURE, Statistics
-from rrmctl.reports.styles import LINE, Looks
+from rrmctl.reports.styles import Looks
 from rrmctl.stats import iqm
 
 if TYPE_CHECKING:
@@ -130,7 +130,7 @@ def _slot(group: Sequence[Sweep], several: bool, looks: Looks, settings: Statist
             )
             last = [scale * np.mean([iqm(task[:, -1], settings.kind) for task in values]) for values in tasks]
             look: dict[str, Any] = looks[method]._asdict()
-            axes.plot(x, y, **LINE | look | {"markersize": 4})
+            axes.plot(x, y, **look | {"markersize": 4})
             axes.vlines(x, low, high, color=looks[method].color, linewidth=0.9)
             hollow = {"linestyle": "none", "markerfacecolor": "white", "markersize": 3, "markeredgewidth": 0.6}
             axes.plot(x, last, **look | hollow)
