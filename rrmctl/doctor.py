@@ -31,7 +31,6 @@ _RENDER = (
     "import mujoco as m; k=m.MjModel.from_xml_string('<mujoco><worldbody><geom size=\"1\"/></worldbody></mujoco>');"
     "d=m.MjData(k); r=m.Renderer(k,8,8); r.update_scene(d); r.render(); r.close()"
 )
-_SIMULATE = "import mujoco, metaworld, dm_control.suite, gymnasium, torch"
 _MESA = "apt-get install libegl1 libegl-mesa0 libgl1-mesa-dri; or: apt-get install libosmesa6"
 
 
@@ -43,6 +42,10 @@ class Check:
     state: Literal["ok", "note", "missing"]
     found: str
     fix: str = ""
+
+
+def _needed(name: str, fits: bool, found: str, fix: str) -> Check:
+    return Check(name, "ok", found) if fits else Check(name, "missing", found, fix)
 
 
 def examine(results: Path, experiments: Path | None) -> Iterator[Check]:
@@ -57,12 +60,9 @@ def examine(results: Path, experiments: Path | None) -> Iterator[Check]:
     except metadata.PackageNotFoundError:  # a clone that is run as it is
         fix = f"{Path(sys.executable).name} -m pip install --editable {Path(__file__).parents[1]}"
         yield Check(DISTRIBUTION, "missing", "not installed, so that nobody knows what it needs", fix)
-    # Installed is not enough: compiled parts may miss a library.
-    if problem := _try(_SIMULATE):
-        fix = "reinstall: pip install --force-reinstall the package it names"
-        yield Check("simulators", "missing", problem, fix)
-    else:
-        yield Check("simulators", "ok", "mujoco, Meta-World, DM-Control and torch load")
+    problem = _try("import mujoco, metaworld, dm_control.suite, gymnasium, torch")  # installed need not mean it loads
+    told = problem or "mujoco, Meta-World, DM-Control and torch load"
+    yield _needed("simulators", problem is None, told, "reinstall: pip install --force-reinstall the package it names")
     cores = f"{usable_cores()} usable of {os.cpu_count()} ({cpu_model()}); one job keeps one busy"
     yield Check("cores", "ok", cores)
     yield Check("threads", "ok", "one per worker, whatever is set in this shell")
@@ -77,11 +77,9 @@ def packages() -> Iterator[Check]:
     from packaging.specifiers import SpecifierSet
 
     wanted, version = metadata.metadata(DISTRIBUTION)["Requires-Python"], platform.python_version()
-    if SpecifierSet(wanted).contains(version, prereleases=True):
-        yield Check("python", "ok", f"{version} ({sys.executable})")
-    else:
-        needs = f"{version}, but {DISTRIBUTION} needs {wanted}"
-        yield Check("python", "missing", needs, "install Python 3.11 or 3.12")
+    fits = SpecifierSet(wanted).contains(version, prereleases=True)
+    told = f"{version} ({sys.executable})" if fits else f"{version}, but {DISTRIBUTION} needs {wanted}"
+    yield _needed("python", fits, told, "install Python 3.11 or 3.12")
     for text in metadata.requires(DISTRIBUTION) or []:
         requirement = Requirement(text)
         extra = requirement.marker is not None and not requirement.marker.evaluate({"extra": ""})
@@ -130,10 +128,7 @@ def folders(results: Path, experiments: Path | None) -> Iterator[Check]:
         yield Check("results", "missing", f"{results}: {error.strerror}", "choose a folder with --results DIR")
     free = shutil.disk_usage(there).free
     room = f"{free / 1024**3:.1f} GB free for {results}"
-    if free >= _DISK_NEEDED:
-        yield Check("disk", "ok", room)
-    else:
-        yield Check("disk", "missing", room, "free 2 GB, or choose another disk with --results DIR")
+    yield _needed("disk", free >= _DISK_NEEDED, room, "free 2 GB, or choose another disk with --results DIR")
     try:
         manifests = available(experiments).values()
     except UserError as error:
@@ -141,10 +136,7 @@ def folders(results: Path, experiments: Path | None) -> Iterator[Check]:
         return
     shipped = sum(path.parent == SHIPPED for path in manifests)
     counts = f"{shipped} of rrmctl, {len(manifests) - shipped} of yours"
-    if shipped:
-        yield Check("experiments", "ok", counts)
-    else:
-        yield Check("experiments", "missing", counts, "reinstall rrmctl: those that come with it are gone")
+    yield _needed("experiments", shipped > 0, counts, "reinstall rrmctl: those that come with it are gone")
 
 
 def rendering(backends: tuple[str, ...] = ("egl", "osmesa")) -> Check:

@@ -43,7 +43,7 @@ class Slot:
     """One panel among equals."""
 
     title: str
-    unit: str  #: of the vertical axis
+    unit: str  #: of the vertical axis, the upper one's where there are two
     fill: Callable[[Axes], None]
     across: str = "Environment steps"  #: the horizontal axis
     above: Callable[[Axes], None] | None = None  #: fills a small panel on top of it
@@ -115,12 +115,12 @@ def sheet(
                 under = following[place] if place < len(following) else None
                 if under is None or under.across != slot.across or slot.above:
                     axes.set_xlabel(slot.across)
-                if before is None or before.unit != slot.unit:
-                    axes.set_ylabel(slot.unit)
                 if slot.above:
                     axes = tops[place]
                     axes.set_visible(True)
                     slot.above(axes)
+                if before is None or before.unit != slot.unit:
+                    axes.set_ylabel(slot.unit)
                 named = (wrapped(line, letters + 0.5, wide - 0.3) for line in slot.title.splitlines())
                 axes.set_title("\n".join(itertools.chain(*named)))
     return figure

@@ -68,7 +68,8 @@ def _slot(cell: FinalScores, names: Sequence[str], looks: Looks, kind: IqmKind) 
         if cell.score == "success":
             rule = partial(_draw_rule, panel=cell.panels[0], read=cell.read, looks=looks)
     fill = partial(_draw_boxes, cell=cell, names=names, looks=looks, kind=kind)
-    return Slot(f"{cell.name}\n{when}", "", fill, UNITS[cell.score], above=rule)
+    unit = "Seeds at\n100 % (%)" if rule else ""
+    return Slot(f"{cell.name}\n{when}", unit, fill, UNITS[cell.score], above=rule)
 
 
 def _draw_rule(axes: Axes, panel: Panel, read: CommonStep, looks: Looks) -> None:
@@ -84,8 +85,6 @@ def _draw_rule(axes: Axes, panel: Panel, read: CommonStep, looks: Looks) -> None
     axes.set_yticks([0, 100 * SHARE, 100])
     step_axis(axes, int(steps[-1]))
     axes.set_xlabel("Environment steps")
-    if _is_first(axes):
-        axes.set_ylabel("Seeds at\n100 % (%)")
 
 
 def _draw_boxes(axes: Axes, cell: FinalScores, names: Sequence[str], looks: Looks, kind: IqmKind) -> None:
@@ -115,15 +114,11 @@ def _draw_boxes(axes: Axes, cell: FinalScores, names: Sequence[str], looks: Look
     if cell.score == "success":
         axes.set_xlim(-4, 104)
     axes.set_ylim(-0.6, len(names) - 0.4)
-    axes.set_yticks(range(len(names)), reversed(names) if _is_first(axes) else [""] * len(names))
+    place = axes.get_subplotspec()
+    shown = list(reversed(names)) if place and place.is_first_col() else [""] * len(names)
+    axes.set_yticks(range(len(names)), shown)
     axes.tick_params(axis="y", length=0)
     axes.grid(visible=False, axis="y")
-
-
-def _is_first(axes: Axes) -> bool:
-    """Whether it is the leftmost of its row, where the names stand."""
-    place = axes.get_subplotspec()
-    return place is None or place.is_first_col()
 
 
 def _notes(cells: Sequence[FinalScores], kind: IqmKind) -> Iterator[str]:
