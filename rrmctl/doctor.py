@@ -61,8 +61,8 @@ def examine(results: Path, experiments: Path | None) -> Iterator[Check]:
         fix = f"{Path(sys.executable).name} -m pip install --editable {Path(__file__).parents[1]}"
         yield Check(DISTRIBUTION, "missing", "not installed, so that nobody knows what it needs", fix)
     problem = _try("import mujoco, metaworld, dm_control.suite, gymnasium, torch")  # installed need not mean it loads
-    told = problem or "mujoco, Meta-World, DM-Control and torch load"
-    yield _needed("simulators", problem is None, told, "reinstall: pip install --force-reinstall the package it names")
+    state = problem or "mujoco, Meta-World, DM-Control and torch load"
+    yield _needed("simulators", problem is None, state, "reinstall: pip install --force-reinstall the package it names")
     cores = f"{usable_cores()} usable of {os.cpu_count()} ({cpu_model()}); one job keeps one busy"
     yield Check("cores", "ok", cores)
     yield Check("threads", "ok", "one per worker, whatever is set in this shell")
@@ -78,8 +78,8 @@ def packages() -> Iterator[Check]:
 
     wanted, version = metadata.metadata(DISTRIBUTION)["Requires-Python"], platform.python_version()
     fits = SpecifierSet(wanted).contains(version, prereleases=True)
-    told = f"{version} ({sys.executable})" if fits else f"{version}, but {DISTRIBUTION} needs {wanted}"
-    yield _needed("python", fits, told, "install Python 3.11 or 3.12")
+    state = f"{version} ({sys.executable})" if fits else f"{version}, but {DISTRIBUTION} needs {wanted}"
+    yield _needed("python", fits, state, "install Python 3.11 or 3.12")
     for text in metadata.requires(DISTRIBUTION) or []:
         requirement = Requirement(text)
         extra = requirement.marker is not None and not requirement.marker.evaluate({"extra": ""})

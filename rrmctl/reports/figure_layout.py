@@ -46,6 +46,7 @@ class Slot:
     unit: str  #: of the vertical axis, the upper one's where there are two
     fill: Callable[[Axes], None]
     across: str = "Environment steps"  #: the horizontal axis
+    runs: Iterable[tuple[str, int]] = ()  #: method, and number of runs, of each of its lines
     above: Callable[[Axes], None] | None = None  #: fills a small panel on top of it
 
 
@@ -54,9 +55,9 @@ def sheet(
     settings: Statistics,
     slots: Sequence[Slot],
     *,
-    legend: Mapping[str, Style],
     notes: Iterable[str],
     lacking: str,
+    legend: Mapping[str, Style] | None = None,
     most: int = 3,
     height: float | None = None,
 ) -> Figure:
@@ -65,6 +66,7 @@ def sheet(
     Args:
         notes: sentences for the foot; how many of the planned runs the section contains follows them.
         lacking: what there is not ("no ...") where there are no panels.
+        legend: entries; default the methods.
         most: panels side by side on a page; a column has one, or two of more than three.
         height: of a panel, inches.
 
@@ -85,6 +87,7 @@ def sheet(
     heights = [tall for two in storeyed for tall in (*([_ABOVE] if two else []), height or usual)]
     width, contents = wide * across, [f"{section.contained} of {section.planned} planned runs."]
     contents += [*short_absent_notes(section), *section.problems]
+    legend = _methods(section, slots) if legend is None else legend
     with look(size):
         from matplotlib import rcParams
         from matplotlib.figure import Figure
@@ -124,6 +127,16 @@ def sheet(
                 named = (wrapped(line, letters + 0.5, wide - 0.3) for line in slot.title.splitlines())
                 axes.set_title("\n".join(itertools.chain(*named)))
     return figure
+
+
+def _methods(section: Section, slots: Iterable[Slot]) -> dict[str, Style]:
+    """The legend: methods with the number of runs behind their lines, the fewest and the most."""
+    counts: dict[str, list[int]] = {}
+    for method, runs in itertools.chain(*(slot.runs for slot in slots)):
+        counts.setdefault(method, []).append(runs)
+    ends = {method: dict.fromkeys((min(runs), max(runs))) for method, runs in counts.items()}
+    looks = section.looks()
+    return {f"{method} (n = {'–'.join(map(str, n))})": looks[method] for method, n in ends.items()}
 
 
 def nothing(section: Section, what: str) -> UserError:

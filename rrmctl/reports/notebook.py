@@ -47,8 +47,8 @@ def one_section(rows: pd.DataFrame, jobs: pd.DataFrame | None) -> Section:
     Raises:
         UserError: there is not exactly one, or its runs do not belong together.
     """
-    found = sections(rows, jobs)
-    if len(found) != 1:
-        which = ", ".join(f"{section.experiment}/{section.variant}" for section in found) or "none"
+    read = sections(rows, jobs)
+    if len(read) != 1:
+        which = ", ".join(f"{section.experiment}/{section.variant}" for section in read) or "none"
         raise UserError(f"a figure shows one variant of one experiment, not {which}", "filter the rows beforehand")
-    return found[0]
+    return read[0]

@@ -3,19 +3,17 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
 from rrmctl.labels import ORACLE
-from rrmctl.reports.figure_layout import Slot, sheet
+from rrmctl.reports.figure_layout import Slot
 from rrmctl.reports.series import Floats, Panel, Section, Series, Steps
-from rrmctl.reports.statistics import Statistics
 from rrmctl.reports.styles import Looks, Style
 from rrmctl.stats import IqmKind, iqm, quartiles
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 UNITS = {"success": "Success rate (%)", "return": "Return (true reward)"}
 
@@ -38,53 +36,23 @@ def curve(axes: Axes, steps: Steps, values: Floats, look: Style, kind: IqmKind, 
         axes.fill_between(steps, *quartiles(values, axis=0), color=look.color, alpha=0.14, linewidth=0)
 
 
-def curves_slot(name: str, series: Sequence[Series], looks: Looks, kind: IqmKind) -> Slot:
+def curves_slot(name: str, shown: Sequence[Series], looks: Looks, kind: IqmKind) -> Slot:
     """A panel of learning curves of one score."""
 
     def fill(axes: Axes) -> None:
-        for position, each in enumerate(series):
-            method = each.label.method
+        for position, series in enumerate(shown):
+            method = series.label.method
             on_top = 3 if method == ORACLE else 2  # dots on a line can be seen, a line on dots hides them
-            curve(axes, each.steps, scaled(each), looks[method], kind, position=position, zorder=on_top)
-        score_axis(axes, series[0].score)
-        step_axis(axes, max(int(each.steps[-1]) for each in series))
+            curve(axes, series.steps, scaled(series), looks[method], kind, position=position, zorder=on_top)
+        score_axis(axes, shown[0].score)
+        step_axis(axes, max(int(series.steps[-1]) for series in shown))
 
-    return Slot(name, UNITS[series[0].score], fill)
-
-
-def curves_sheet(
-    section: Section,
-    settings: Statistics,
-    shown: Mapping[str, Sequence[Series]],
-    *,
-    notes: Iterable[str],
-    lacking: str,
-    slot: Callable[[str, Sequence[Series], Looks, IqmKind], Slot] = curves_slot,
-) -> Figure:
-    """A `sheet` with a panel of these series for each name."""
-    looks = section.looks()
-    return sheet(
-        section,
-        settings,
-        [slot(name, series, looks, settings.kind) for name, series in shown.items() if series],
-        legend=legend_of(((each.label.method, each.n) for series in shown.values() for each in series), looks),
-        notes=notes,
-        lacking=lacking,
-    )
+    return Slot(name, UNITS[shown[0].score], fill, runs=[(series.label.method, series.n) for series in shown])
 
 
 def scaled(series: Series) -> Floats:
     """The series' scores as axes show them, [S, T]: success in percent, returns as they are."""
     return 100 * series.values if series.score == "success" else series.values
-
-
-def legend_of(lines: Iterable[tuple[str, int]], looks: Looks) -> dict[str, Style]:
-    """An entry for each method, of lines with their method and number of runs: `pebble (n = 5)`, or fewest and most."""
-    counts: dict[str, list[int]] = {}
-    for method, runs in lines:
-        counts.setdefault(method, []).append(runs)
-    ends = {method: dict.fromkeys((min(runs), max(runs))) for method, runs in counts.items()}
-    return {f"{method} (n = {'–'.join(map(str, numbers))})": looks[method] for method, numbers in ends.items()}
 
 
 def step_axis(axes: Axes, last: int) -> None:
@@ -93,7 +61,7 @@ def step_axis(axes: Axes, last: int) -> None:
 
     axes.set_xlim(0, 1.03 * last)
     axes.xaxis.set_major_locator(MaxNLocator("auto", steps=[1, 2, 2.5, 5, 10], min_n_ticks=3))
-    axes.xaxis.set_major_formatter(FuncFormatter(lambda steps, _: told(steps)))
+    axes.xaxis.set_major_formatter(FuncFormatter(lambda steps, _: short_steps(steps)))
 
 
 def score_axis(axes: Axes, score: str) -> None:
@@ -103,7 +71,7 @@ def score_axis(axes: Axes, score: str) -> None:
         axes.set_yticks(range(0, 101, 20))
 
 
-def told(steps: float) -> str:
+def short_steps(steps: float) -> str:
     """A number of steps in short: 0, 500, 50k, 1.5M."""
     if abs(steps) >= 1e6:
         return f"{steps / 1e6:g}M"

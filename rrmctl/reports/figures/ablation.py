@@ -7,8 +7,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from rrmctl.reports.figure_layout import sheet
 from rrmctl.reports.notebook import from_frames
-from rrmctl.reports.plot_elements import curves_sheet, iqm_notes, panel_name
+from rrmctl.reports.plot_elements import curves_slot, iqm_notes, panel_name
 from rrmctl.reports.series import Panel, Section, Series
 from rrmctl.reports.statistics import DEFAULTS, Statistics
 from rrmctl.reports.styles import ALONE, parts
@@ -24,11 +25,15 @@ def suits(section: Section) -> bool:
 
 def draw(section: Section, settings: Statistics = DEFAULTS) -> Figure:
     """A panel for each task and prior: the residual model, the prior alone, and what stands on no prior."""
-    panels = section.panels()
-    return curves_sheet(
+    panels, looks = section.panels(), section.looks()
+    return sheet(
         section,
         settings,
-        {f"{panel_name(panel, panels)}: {prior}": series for panel in panels for prior, series in pairs(panel).items()},
+        [
+            curves_slot(f"{panel_name(panel, panels)}: {prior}", series, looks, settings.kind)
+            for panel in panels
+            for prior, series in pairs(panel).items()
+        ],
         notes=["Filled: with the residual; hollow and dashed: the prior alone.", *iqm_notes(section, settings.kind)],
         lacking="no prior with runs both with and without the residual",
     )

@@ -16,7 +16,7 @@ from rrmctl.labels import knows
 from rrmctl.reports.figure_layout import Slot, sheet
 from rrmctl.reports.final_scores import FinalScores, readings
 from rrmctl.reports.notebook import from_frames
-from rrmctl.reports.plot_elements import UNITS, legend_of, line, score_axis, step_axis
+from rrmctl.reports.plot_elements import UNITS, line, score_axis, step_axis
 from rrmctl.reports.series import Panel, Section, at_steps
 from rrmctl.reports.statistics import DEFAULTS, Statistics
 from rrmctl.reports.styles import Looks
@@ -52,9 +52,6 @@ def draw(section: Section, settings: Statistics = DEFAULTS) -> Figure:
         section,
         settings,
         [_slot(cell, names, looks, settings.kind) for cell in cells],
-        legend=legend_of(
-            ((each.label.method, each.n) for cell in cells for panel in cell.panels for each in panel.present()), looks
-        ),
         notes=_notes(cells, settings.kind),
         lacking="no runs that can be compared at one step",
         height=_FRAME + _ROW * len(names),
@@ -69,7 +66,8 @@ def _slot(cell: FinalScores, names: Sequence[str], looks: Looks, kind: IqmKind) 
             rule = partial(_draw_rule, panel=cell.panels[0], read=cell.read, looks=looks)
     fill = partial(_draw_boxes, cell=cell, names=names, looks=looks, kind=kind)
     unit = "Seeds at\n100 % (%)" if rule else ""
-    return Slot(f"{cell.name}\n{when}", unit, fill, UNITS[cell.score], above=rule)
+    runs = [(series.label.method, series.n) for panel in cell.panels for series in panel.present()]
+    return Slot(f"{cell.name}\n{when}", unit, fill, UNITS[cell.score], runs, above=rule)
 
 
 def _draw_rule(axes: Axes, panel: Panel, read: CommonStep, looks: Looks) -> None:
@@ -106,8 +104,8 @@ def _draw_boxes(axes: Axes, cell: FinalScores, names: Sequence[str], looks: Look
         axes.plot(scores, heights, markersize=2.8, markeredgewidth=0.5, alpha=0.85, clip_on=False, **seeds)
         diamond: Any = {"markersize": 4, "markeredgewidth": 1, "markerfacecolor": "white", "markeredgecolor": "black"}
         axes.plot(float(iqm(scores, kind)), y, "D", zorder=4, clip_on=False, **diamond)
-        told = f"{center:.1f}" if cell.score == "success" else f"{center:,.0f}"
-        axes.annotate(told, (1.05, y), xycoords=("axes fraction", "data"), va="center", fontsize="small")
+        text = f"{center:.1f}" if cell.score == "success" else f"{center:,.0f}"
+        axes.annotate(text, (1.05, y), xycoords=("axes fraction", "data"), va="center", fontsize="small")
     for oracle in filter(knows, cell.strata):
         dots, center = looks[oracle], float(mean(cell.runs(oracle)))
         axes.axvline(center, color=dots.color, linestyle=dots.linestyle, linewidth=1.2, zorder=1)

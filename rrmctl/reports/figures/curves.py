@@ -7,8 +7,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from rrmctl.reports.figure_layout import sheet
 from rrmctl.reports.notebook import from_frames
-from rrmctl.reports.plot_elements import curves_sheet, iqm_notes, panel_name
+from rrmctl.reports.plot_elements import curves_slot, iqm_notes, panel_name
 from rrmctl.reports.series import Section
 from rrmctl.reports.statistics import DEFAULTS, Statistics
 
@@ -23,9 +24,9 @@ def suits(section: Section) -> bool:
 
 def draw(section: Section, settings: Statistics = DEFAULTS) -> Figure:
     """One panel for each task (and teacher and schedule), a line for each method."""
-    panels = section.panels()
-    shown = {panel_name(panel, panels): panel.present() for panel in panels}
-    return curves_sheet(section, settings, shown, notes=iqm_notes(section, settings.kind), lacking="no run")
+    panels, looks = section.panels(), section.looks()
+    slots = [curves_slot(panel_name(panel, panels), panel.present(), looks, settings.kind) for panel in panels]
+    return sheet(section, settings, slots, notes=iqm_notes(section, settings.kind), lacking="no run")
 
 
 learning_curves = from_frames(draw)

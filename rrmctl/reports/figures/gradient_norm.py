@@ -7,14 +7,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from rrmctl.reports.figure_layout import Slot, nothing
+from rrmctl.reports.figure_layout import Slot, nothing, sheet
 from rrmctl.reports.notebook import one_section
-from rrmctl.reports.plot_elements import curve, curves_sheet, panel_name, step_axis
+from rrmctl.reports.plot_elements import curve, panel_name, step_axis
 from rrmctl.reports.series import Section, Series
 from rrmctl.reports.statistics import DEFAULTS, Statistics, Width
 from rrmctl.reports.styles import Looks
@@ -70,16 +69,15 @@ def gradient_norms(
 
 
 def _draw(section: Section, gradients: pd.DataFrame, settings: Statistics) -> Figure:
-    panels, normed = section.panels(), set(gradients["run"])
+    panels, looks, normed = section.panels(), section.looks(), set(gradients["run"])
     shown = {
         panel_name(panel, panels): [_only(series, normed) for series in panel.present() if normed & {*series.runs}]
         for panel in panels
     }
-    return curves_sheet(
+    return sheet(
         section,
         settings,
-        shown,
-        slot=partial(_slot, gradients),
+        [_slot(gradients, name, series, looks, settings.kind) for name, series in shown.items() if series],
         notes=[
             f"Median over the gradient steps in each {_BINS}th of the run, then the interquartile mean over seeds "
             f"({settings.kind}). Band: 25 to 75 % of the seeds. Grey: where the loss changes.",
@@ -127,4 +125,5 @@ def _slot(gradients: pd.DataFrame, name: str, shown: Sequence[Series], looks: Lo
         axes.set_yscale("log", nonpositive="clip")
         step_axis(axes, last)
 
-    return Slot(name, "Norm of the reward's gradient", fill)
+    runs = [(series.label.method, series.n) for series in shown]
+    return Slot(name, "Norm of the reward's gradient", fill, runs=runs)

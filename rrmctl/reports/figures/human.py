@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from rrmctl.reports.figure_layout import Slot
+from rrmctl.reports.figure_layout import Slot, sheet
 from rrmctl.reports.notebook import from_frames
-from rrmctl.reports.plot_elements import curves_sheet, curves_slot, iqm_notes, line, panel_name, scaled
+from rrmctl.reports.plot_elements import curves_slot, iqm_notes, line, panel_name, scaled
 from rrmctl.reports.series import Floats, Section, Series
 from rrmctl.reports.statistics import DEFAULTS, Statistics
 from rrmctl.reports.styles import Looks
@@ -36,13 +36,12 @@ def suits(section: Section) -> bool:
 
 def draw(section: Section, settings: Statistics = DEFAULTS) -> Figure:
     """Smoothed learning curves, a panel for each task that people taught (of every task, where they taught none)."""
-    panels = section.panels()
+    panels, looks = section.panels(), section.looks()
     shown = [panel for panel in panels if panel.teacher == HUMAN] or panels
-    return curves_sheet(
+    return sheet(
         section,
         settings,
-        {panel_name(panel, panels): panel.present() for panel in shown},
-        slot=_slot,
+        [_slot(panel_name(panel, panels), panel.present(), looks, settings.kind) for panel in shown],
         notes=[
             f"Each seed is smoothed: centred mean over {WINDOW} evaluations, fewer at the ends. Thin: not smoothed.",
             *iqm_notes(section, settings.kind),

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from operator import attrgetter
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -18,7 +19,7 @@ from rrmctl.planning.schedules import Schedule
 from rrmctl.reports.figure_layout import Slot, sheet
 from rrmctl.reports.iqm_curves import ALL_TASKS
 from rrmctl.reports.notebook import from_frames
-from rrmctl.reports.plot_elements import UNITS, legend_of, score_axis, told
+from rrmctl.reports.plot_elements import UNITS, score_axis, short_steps
 from rrmctl.reports.scores import read_together, score
 from rrmctl.reports.series import Floats, Section, Series
 from rrmctl.reports.statistics import DEFAULTS, SURE, Statistics
@@ -65,7 +66,6 @@ def draw(section: Section, settings: Statistics = DEFAULTS) -> Figure:
         section,
         settings,
         [_slot(group, several, looks, settings) for group in [*([sweep] for sweep in sweeps), *means]],
-        legend=legend_of(((each.label.method, each.n) for sweep in sweeps for each in sweep.series.values()), looks),
         notes=[
             f"Points: mean over the evaluation steps of the interquartile mean over seeds ({settings.kind}), with its "
             f"{SURE} bootstrap interval. Small and hollow: the interquartile mean at the last step.",
@@ -92,21 +92,20 @@ def _sweeps(section: Section) -> tuple[list[Sweep], list[str]]:
             schedule = Schedule.of(series.label.feedback)
             if schedule and not schedule.name:
                 by_teacher.setdefault(series.label.teacher, {})[series.label.method, schedule] = series
-        for teacher, asked in by_teacher.items():
-            for field, chosen in _compared({schedule for _, schedule in asked}):
-                own = {key: series for key, series in asked.items() if key[1] in chosen}
+        for teacher, taught in by_teacher.items():
+            for field, chosen in _compared({schedule for _, schedule in taught}):
+                own = {key: series for key, series in taught.items() if key[1] in chosen}
                 sweeps.append(Sweep(task, teacher, field, chosen, own, values))
     return sweeps, apart
 
 
 def _compared(schedules: set[Schedule]) -> Iterator[tuple[str, tuple[Schedule, ...]]]:
     """By the size of a session those of the shortest wait, and by the wait those of the largest session."""
-    batch, every = max(each.batch for each in schedules), min(each.every for each in schedules)
-    for field, chosen in (
-        ("batch", sorted((each for each in schedules if each.every == every), reverse=True)),
-        ("every", sorted((each for each in schedules if each.batch == batch), key=lambda each: each.every)),
-    ):
-        if len({getattr(each, field) for each in chosen}) == len(chosen) > 1:
+    batch, every = max(schedule.batch for schedule in schedules), min(schedule.every for schedule in schedules)
+    sizes = sorted((schedule for schedule in schedules if schedule.every == every), reverse=True)
+    waits = sorted((schedule for schedule in schedules if schedule.batch == batch), key=attrgetter("every"))
+    for field, chosen in (("batch", sizes), ("every", waits)):
+        if len({getattr(schedule, field) for schedule in chosen}) == len(chosen) > 1:
             yield field, tuple(chosen)
 
 
@@ -134,16 +133,18 @@ def _slot(group: Sequence[Sweep], several: bool, looks: Looks, settings: Statist
             axes.vlines(x, low, high, color=looks[method].color, linewidth=0.9)
             hollow = {"linestyle": "none", "markerfacecolor": "white", "markersize": 3, "markeredgewidth": 0.6}
             axes.plot(x, last, **look | hollow)
-        axes.set_xticks(range(len(first.schedules)), [told(getattr(each, first.field)) for each in first.schedules])
+        ticks = [short_steps(getattr(schedule, first.field)) for schedule in first.schedules]
+        axes.set_xticks(range(len(ticks)), ticks)
         axes.set_xlim(-0.4, len(first.schedules) - 0.6)
         score_axis(axes, first.score)
 
     name = (first.task if len(group) == 1 else ALL_TASKS) + (f", teacher {first.teacher}" if several else "")
     if first.field == "batch":
-        across = f"Queries a session,\nevery {told(first.schedules[0].every)} steps"
+        across = f"Queries a session,\nevery {short_steps(first.schedules[0].every)} steps"
     else:
         across = f"Steps between\nsessions of {first.schedules[0].batch}"
-    return Slot(name, UNITS[first.score], fill, across)
+    runs = [(series.label.method, series.n) for sweep in group for series in sweep.series.values()]
+    return Slot(name, UNITS[first.score], fill, across, runs)
 
 
 less_feedback = from_frames(draw)

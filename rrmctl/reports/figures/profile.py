@@ -13,7 +13,7 @@ import numpy as np
 from rrmctl.reports.figure_layout import Slot, sheet
 from rrmctl.reports.final_scores import FinalScores, last_step, readings
 from rrmctl.reports.notebook import from_frames
-from rrmctl.reports.plot_elements import UNITS, legend_of, line, score_axis
+from rrmctl.reports.plot_elements import UNITS, line, score_axis
 from rrmctl.reports.series import Section
 from rrmctl.reports.statistics import BOOTSTRAP_SEED, DEFAULTS, LEVEL, SURE, Statistics
 from rrmctl.reports.styles import Looks
@@ -39,7 +39,6 @@ def draw(section: Section, settings: Statistics = DEFAULTS) -> Figure:
         section,
         settings,
         [_slot(cell, looks, settings) for cell in cells],
-        legend=legend_of(((method, cell.runs(method).size) for cell in cells for method in cell.strata), looks),
         notes=[
             "Line: share of the runs whose score at the last step is higher. "
             f"Band: {SURE} at each score by itself, bootstrap over seeds, stratified by task.",
@@ -81,7 +80,8 @@ def _slot(cell: FinalScores, looks: Looks, settings: Statistics) -> Slot:
         score_axis(axes, "success")
 
     step = "last step" if cell.read is None else f"step {cell.read.step:,}"
-    return Slot(f"{cell.name}, {step}", "Runs above it (%)", fill, UNITS[cell.score])
+    runs = [(method, cell.runs(method).size) for method in cell.strata]
+    return Slot(f"{cell.name}, {step}", "Runs above it (%)", fill, UNITS[cell.score], runs)
 
 
 profile = from_frames(draw)

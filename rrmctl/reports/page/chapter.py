@@ -136,7 +136,7 @@ def gather(sections: Sequence[Section], settings: Statistics) -> Tables:
         reports, reason = _made(entry.load(), sections, settings)
         if reason:
             alone = [_made(entry.load(), [section], settings) for section in sections]
-            reports = [report for made, _ in alone for report in made]
+            reports = [report for own, _ in alone for report in own]
             reasons = zip(places, (why for _, why in alone), strict=True) if reports else [(SEVERAL, reason)]
             for place, why in reasons:
                 if why:
@@ -157,12 +157,12 @@ def _made(module: ModuleType, sections: Sequence[Section], settings: Statistics)
 
 def tables_at(place: Place, name: str, gathered: Tables) -> Part:
     """The tables of a place, the notes that several share once, and why others are not there."""
-    made = sorted(gathered.made[place], key=_rank)
-    counted = Counter(note for _, report in made for note in dict.fromkeys(report.notes))
+    tables = sorted(gathered.made[place], key=_rank)
+    counted = Counter(note for _, report in tables for note in dict.fromkeys(report.notes))
     shared = [note for note, count in counted.items() if count > 1]
     seen: Counter[str] = Counter()
     parts = []
-    for kind, report in made:
+    for kind, report in tables:
         seen[kind] += 1
         heading = f"{report.title}. " if place == SEVERAL else ""
         caption = f"{heading}{kinds()[kind].help.splitlines()[0]} (rrmctl report {kind})"
