@@ -5,18 +5,17 @@ from __future__ import annotations
 import math
 import os
 import platform
+import re
 from pathlib import Path
 
 
 def cpu_model() -> str:
     """The processor's name as the system tells it, "unknown" where it does not."""
     info = Path("/proc/cpuinfo")
-    if info.is_file():
-        for line in info.read_text(errors="replace").splitlines():
-            name, _, value = line.partition(":")
-            if name.strip() == "model name":
-                return value.strip()
-    return platform.processor() or "unknown"
+    named = (
+        re.search(r"^model name\s*:(.*)", info.read_text(errors="replace"), re.MULTILINE) if info.is_file() else None
+    )
+    return named[1].strip() if named else platform.processor() or "unknown"
 
 
 def usable_cores(quota: Path = Path("/sys/fs/cgroup/cpu.max")) -> int:

@@ -1,4 +1,4 @@
-"""`rrmctl report ...` and `rrmctl plot`: what the store says, as tables, figures and a page."""
+"""`rrmctl report ...`, `plot` and `export`: what the store says, as tables, figures, a page, and for other programs."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from rrm.files import place
 from rrmctl.cli.options import DEFAULT_RESULTS, ResultsOption
 from rrmctl.cli.screen import tell
 from rrmctl.errors import UserError
+from rrmctl.export.formats import formats
 from rrmctl.reports.figures import figures
 from rrmctl.reports.plugins import choose
 from rrmctl.reports.tables import explained, kinds
@@ -222,6 +223,32 @@ def plot(
 plot.__doc__ = "\n\n".join(
     (str(plot.__doc__), *(f"{name}: {entry.help.splitlines()[0]}" for name, entry in figures().items()))
 )
+
+
+#: Every format with the first line of its help; brackets are markup there.
+_FORMATS = " ".join(f"{name}: {entry.help.splitlines()[0]}" for name, entry in formats().items()).replace("[", r"\[")
+
+
+def export(
+    name: OneNameArgument,
+    to: Annotated[str, typer.Option("--to", metavar="FORMAT", help=_FORMATS)],
+    output: Annotated[Path, into("DIR", "Folder for the files; made where it is missing.")],
+    results: ResultsOption = DEFAULT_RESULTS,
+    profile: Annotated[str | None, typer.Option("--profile", help="Only runs at this scale. Default: all.")] = None,
+) -> None:
+    """Write every evaluation of an experiment, with all labels, for other programs.
+
+    Runs under way and failed ones are there as far as they came, marked with
+    their state. Exporting again replaces what was exported: nothing doubles.
+    """
+    from rrmctl.export.bundle import read
+
+    form = choose(formats(), to, "format")
+    bundle = read(results, name, profile)
+    if not bundle.begun:
+        tell(f"note: none of the {len(bundle.runs)} planned runs has an evaluation yet", err=True)
+    written = form.load().write(bundle, output)
+    tell(f"{output}: {len(bundle.begun)} of {len(bundle.runs)} planned runs, {len(written)} files")
 
 
 def _figure_name(section: Section, figure: str, width: Across) -> str:

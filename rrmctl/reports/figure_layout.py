@@ -1,4 +1,4 @@
-"""The sheet that all figures share: heading, panels, legend and notes; how it looks, and how it becomes a file."""
+"""The sheet that all figures share: heading, panels, legend, notes; its look, its file, and how notebooks draw it."""
 
 from __future__ import annotations
 
@@ -17,11 +17,14 @@ import numpy as np
 
 from rrmctl.errors import UserError
 from rrmctl.reports.captions import short_absent_notes, title
+from rrmctl.reports.select import sections
 from rrmctl.reports.series import Section
 from rrmctl.reports.statistics import Statistics, Width
 from rrmctl.reports.styles import Style
+from rrmctl.stats import REPLICATES, IqmKind
 
 if TYPE_CHECKING:
+    import pandas as pd
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
@@ -145,6 +148,43 @@ def nothing(section: Section, what: str) -> UserError:
         f"{section.experiment}, profile {section.profile}: {what} to draw",
         f"`rrmctl run {section.experiment}` makes runs, `rrmctl plot {section.experiment}` draws what suits them",
     )
+
+
+def from_frames(draw: Callable[[Section, Statistics], Figure]) -> Callable[..., Figure]:
+    """The notebook's side of a figure's `draw`."""
+
+    def drawn(
+        rows: pd.DataFrame,
+        jobs: pd.DataFrame | None = None,
+        *,
+        kind: IqmKind = "rliable",
+        width: Width = "page",
+        replicates: int = REPLICATES,
+    ) -> Figure:
+        return draw(one_section(rows, jobs), Statistics(kind=kind, width=width, replicates=replicates))
+
+    drawn.__doc__ = f"""{draw.__doc__}
+    Args:
+        rows: one variant of one experiment, as `rrmctl.store.load` returns it; several are refused.
+        jobs: as `rrmctl.store.planned`, to say which runs are missing.
+        kind: of interquartile mean.
+        width: of the figure: `column` (3.3 inches) or `page` (at most 7).
+        replicates: resampled data sets behind intervals, where it has any.
+    """
+    return drawn
+
+
+def one_section(rows: pd.DataFrame, jobs: pd.DataFrame | None) -> Section:
+    """The section of these frames.
+
+    Raises:
+        UserError: there is not exactly one, or its runs do not belong together.
+    """
+    read = sections(rows, jobs)
+    if len(read) != 1:
+        which = ", ".join(f"{section.experiment}/{section.variant}" for section in read) or "none"
+        raise UserError(f"a figure shows one variant of one experiment, not {which}", "filter the rows beforehand")
+    return read[0]
 
 
 def wrapped(text: str, letters: float, width: float) -> list[str]:

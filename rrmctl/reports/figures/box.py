@@ -13,10 +13,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from rrmctl.labels import knows
-from rrmctl.reports.figure_layout import Slot, sheet
-from rrmctl.reports.final_scores import FinalScores, readings
-from rrmctl.reports.notebook import from_frames
-from rrmctl.reports.plot_elements import UNITS, line, score_axis, step_axis
+from rrmctl.reports.figure_layout import Slot, from_frames, sheet
+from rrmctl.reports.plot_elements import UNITS, FinalScores, line, readings, score_axis, step_axis
 from rrmctl.reports.series import Panel, Section, at_steps
 from rrmctl.reports.statistics import DEFAULTS, Statistics
 from rrmctl.reports.styles import Looks

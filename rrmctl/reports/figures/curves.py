@@ -7,8 +7,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from rrmctl.reports.figure_layout import sheet
-from rrmctl.reports.notebook import from_frames
+from rrmctl.reports.figure_layout import from_frames, sheet
 from rrmctl.reports.plot_elements import curves_slot, iqm_notes, panel_name
 from rrmctl.reports.series import Section
 from rrmctl.reports.statistics import DEFAULTS, Statistics

@@ -9,8 +9,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from rrmctl.labels import ORACLE
-from rrmctl.reports.figure_layout import Slot, sheet
-from rrmctl.reports.notebook import from_frames
+from rrmctl.reports.figure_layout import Slot, from_frames, sheet
 from rrmctl.reports.plot_elements import curve, iqm_notes, panel_name, score_axis, step_axis
 from rrmctl.reports.series import Section, Series, finite
 from rrmctl.reports.statistics import DEFAULTS, Statistics

@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from rrmctl.reports.figure_layout import Slot, nothing, sheet
-from rrmctl.reports.notebook import one_section
+from rrmctl.reports.figure_layout import Slot, nothing, one_section, sheet
 from rrmctl.reports.plot_elements import curve, panel_name, step_axis
 from rrmctl.reports.series import Section, Series
 from rrmctl.reports.statistics import DEFAULTS, Statistics, Width
@@ -39,19 +38,6 @@ def suits(section: Section) -> bool:
     )
 
 
-def draw(section: Section, settings: Statistics = DEFAULTS) -> Figure:
-    """A panel for each task, with the median norm in each sixtieth of the steps, before and after the change.
-
-    Raises:
-        UserError: no run left norms.
-        DamagedError: a file with norms cannot be read.
-    """
-    if section.source is None:
-        raise nothing(section, "no gradients beside the curves")
-    runs = [run for series in section.series for run in series.runs]
-    return _draw(section, load_gradients(section.source.root, runs), settings)
-
-
 def gradient_norms(
     rows: pd.DataFrame,
     gradients: pd.DataFrame,
@@ -65,10 +51,20 @@ def gradient_norms(
     Raises:
         UserError: several variants or experiments at once, or no norms of these runs.
     """
-    return _draw(one_section(rows, jobs), gradients, Statistics(kind=kind, width=width))
+    return draw(one_section(rows, jobs), Statistics(kind=kind, width=width), gradients)
 
 
-def _draw(section: Section, gradients: pd.DataFrame, settings: Statistics) -> Figure:
+def draw(section: Section, settings: Statistics = DEFAULTS, gradients: pd.DataFrame | None = None) -> Figure:
+    """A panel for each task, with the median norm in each sixtieth of the steps, before and after the change.
+
+    Raises:
+        UserError: no run left norms.
+        DamagedError: a file with norms cannot be read.
+    """
+    if gradients is None:
+        if section.source is None:
+            raise nothing(section, "no gradients beside the curves")
+        gradients = load_gradients(section.source.root, [run for series in section.series for run in series.runs])
     panels, looks, normed = section.panels(), section.looks(), set(gradients["run"])
     shown = {
         panel_name(panel, panels): [_only(series, normed) for series in panel.present() if normed & {*series.runs}]

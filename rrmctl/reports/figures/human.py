@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from rrmctl.reports.figure_layout import Slot, sheet
-from rrmctl.reports.notebook import from_frames
+from rrmctl.reports.figure_layout import Slot, from_frames, sheet
 from rrmctl.reports.plot_elements import curves_slot, iqm_notes, line, panel_name, scaled
 from rrmctl.reports.series import Floats, Section, Series
 from rrmctl.reports.statistics import DEFAULTS, Statistics

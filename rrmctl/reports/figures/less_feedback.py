@@ -16,9 +16,8 @@ import numpy as np
 from rrmctl.errors import UserError
 from rrmctl.labels import NOTHING_ASKED
 from rrmctl.planning.schedules import Schedule
-from rrmctl.reports.figure_layout import Slot, sheet
+from rrmctl.reports.figure_layout import Slot, from_frames, sheet
 from rrmctl.reports.iqm_curves import ALL_TASKS
-from rrmctl.reports.notebook import from_frames
 from rrmctl.reports.plot_elements import UNITS, score_axis, short_steps
 from rrmctl.reports.scores import read_together, score
 from rrmctl.reports.series import Floats, Section, Series

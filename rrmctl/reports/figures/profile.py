@@ -10,10 +10,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from rrmctl.reports.figure_layout import Slot, sheet
-from rrmctl.reports.final_scores import FinalScores, last_step, readings
-from rrmctl.reports.notebook import from_frames
-from rrmctl.reports.plot_elements import UNITS, line, score_axis
+from rrmctl.reports.figure_layout import Slot, from_frames, sheet
+from rrmctl.reports.plot_elements import UNITS, FinalScores, last_step, line, readings, score_axis
 from rrmctl.reports.series import Section
 from rrmctl.reports.statistics import BOOTSTRAP_SEED, DEFAULTS, LEVEL, SURE, Statistics
 from rrmctl.reports.styles import Looks
