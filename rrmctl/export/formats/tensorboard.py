@@ -54,14 +54,14 @@ def write(bundle: Bundle, folder: Path) -> list[Path]:
     require("tensorboard")
     from tensorboard.summary.writer.record_writer import RecordWriter
 
-    paths = {run: folder / run_folder(run) / _FILE for run in bundle.begun}
-    for run, path in paths.items():
+    paths = [folder / run_folder(run) / _FILE for run in bundle.begun]
+    for run, path in zip(bundle.begun, paths, strict=True):
         buffer = io.BytesIO()
         records = RecordWriter(buffer)
         for event in _events(run):
             records.write(event.SerializeToString())
         write_bytes(path, buffer.getvalue())
-    return [*paths.values()]
+    return paths
 
 
 def run_folder(run: Run) -> Path:

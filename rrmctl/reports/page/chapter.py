@@ -6,7 +6,6 @@ import base64
 from collections import Counter, defaultdict
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from types import ModuleType
 from typing import TYPE_CHECKING
 
 from rrmctl.commands import rrmctl
@@ -133,26 +132,22 @@ def gather(sections: Sequence[Section], settings: Statistics) -> Tables:
     for kind, entry in kinds().items() if sections else ():
         if kind == "all":  # the others
             continue
-        reports, reason = _made(entry.load(), sections, settings)
-        if reason:
-            alone = [_made(entry.load(), [section], settings) for section in sections]
-            reports = [report for own, _ in alone for report in own]
-            reasons = zip(places, (why for _, why in alone), strict=True) if reports else [(SEVERAL, reason)]
-            for place, why in reasons:
-                if why:
-                    tables.refused[place][kind] = why
+        make = entry.load().make
+        try:
+            reports = make(sections, settings)
+        except UserError as error:
+            reports, refused = [], {}
+            for place, section in zip(places, sections, strict=True):
+                try:
+                    reports += make([section], settings)
+                except UserError as reason:
+                    refused[place] = str(reason)
+            for place, why in (refused if reports else {SEVERAL: str(error)}).items():
+                tables.refused[place][kind] = why
         for report in reports:
             place = (report.facts["experiment"], report.facts["variant"])
             tables.made[place if place in places else SEVERAL].append((kind, report))
     return tables
-
-
-def _made(module: ModuleType, sections: Sequence[Section], settings: Statistics) -> tuple[list[Report], str]:
-    """A kind's tables, or why there are none."""
-    try:
-        return module.make(sections, settings), ""
-    except UserError as error:
-        return [], str(error)
 
 
 def tables_at(place: Place, name: str, gathered: Tables) -> Part:
