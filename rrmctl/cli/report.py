@@ -67,11 +67,6 @@ ReplicatesOption = Annotated[
 ]
 
 
-@report_app.callback()
-def report() -> None:
-    """Tables from the store, with intervals and what is missing."""
-
-
 def _table(entry: Entry) -> Callable[..., None]:
     """The command of one kind of table."""
 

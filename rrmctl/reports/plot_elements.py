@@ -130,17 +130,13 @@ def readings(section: Section, rule: Callable[[Panel], CommonStep]) -> list[Fina
             for series in panel.present()
         }
         single[panel] = FinalScores(panel_name(panel, panels), panel.score, strata, (panel,), read)
-    return [*single.values(), *_pooled(panels, single)]
-
-
-def _pooled(panels: list[Panel], single: dict[Panel, FinalScores]) -> Iterator[FinalScores]:
-    """The tasks together; several groups of them are told apart by teacher and schedule."""
-    groups = across_tasks(panels)
-    for group in groups:
+    groups, pooled = across_tasks(panels), []
+    for group in groups:  # several of them are told apart by teacher and schedule
         name = f"{ALL_TASKS}, {group[0].teacher}, {group[0].feedback}" if len(groups) > 1 else ALL_TASKS
         tasks = [single[panel].strata for panel in group]
         strata = {method: [task[method][0] for task in tasks] for method in tasks[0] if all(method in t for t in tasks)}
-        yield FinalScores(name, "success", strata, tuple(group), None)
+        pooled.append(FinalScores(name, "success", strata, tuple(group), None))
+    return [*single.values(), *pooled]
 
 
 def last_step(panel: Panel) -> CommonStep:
