@@ -112,24 +112,28 @@ def sheet(
         lower.text(0.5, 0.03, "\n".join(foot), ha="center", va="bottom", fontsize=small, color="#444444")
         grid = iter(upper.subplots(len(heights), across, squeeze=False, gridspec_kw={"height_ratios": heights}))
         for row, following, two in zip(rows, [*rows[1:], ()], storeyed, strict=True):
-            tops, axes_row = next(grid) if two else (), next(grid)
-            for axes in (*tops, *axes_row[len(row) :]):
+            tops, lower_axes = next(grid) if two else (), next(grid)
+            for axes in (*tops, *lower_axes[len(row) :]):
                 axes.set_visible(False)
             for place, slot in enumerate(row):
-                axes, before = axes_row[place], row[place - 1] if place else None
-                slot.fill(axes)
-                under = following[place] if place < len(following) else None
-                if under is None or under.across != slot.across or slot.above:
-                    axes.set_xlabel(slot.across)
-                if slot.above:
-                    axes = tops[place]
-                    axes.set_visible(True)
-                    slot.above(axes)
-                if before is None or before.unit != slot.unit:
-                    axes.set_ylabel(slot.unit)
+                top = _fill(slot, lower_axes[place], tops[place] if slot.above else None, following[place : place + 1])
+                if place == 0 or row[place - 1].unit != slot.unit:
+                    top.set_ylabel(slot.unit)
                 named = (wrapped(line, letters + 0.5, wide - 0.3) for line in slot.title.splitlines())
-                axes.set_title("\n".join(itertools.chain(*named)))
+                top.set_title("\n".join(itertools.chain(*named)))
     return figure
+
+
+def _fill(slot: Slot, axes: Axes, top: Axes | None, under: Sequence[Slot]) -> Axes:
+    """Fill a panel, and the one on top of it, if any; the uppermost."""
+    slot.fill(axes)
+    if slot.above or not under or under[0].across != slot.across:
+        axes.set_xlabel(slot.across)
+    if slot.above is None or top is None:
+        return axes
+    top.set_visible(True)
+    slot.above(top)
+    return top
 
 
 def _methods(section: Section, slots: Iterable[Slot]) -> dict[str, Style]:
