@@ -19,11 +19,7 @@ _WORD = re.compile(r"(?!(?:true|false|inf|nan)$)[A-Za-z_][\w-]*")
 
 
 def rrmctl(*words: str, results: str | Path | None = None) -> str:
-    """An `rrmctl` command.
-
-    Args:
-        results: the results root that it is about; said where the command would not take it by itself.
-    """
+    """An `rrmctl` command; the results root that it is about is said where it would not take that by itself."""
     default = Path(os.environ.get("RRMCTL_RESULTS") or DEFAULT_RESULTS)
     where = () if results is None or Path(results) == default else ("--results", str(results))
     return shlex.join(["rrmctl", *words, *where])

@@ -49,12 +49,7 @@ def _needed(name: str, fits: bool, found: str, fix: str) -> Check:
 
 
 def examine(results: Path, experiments: Path | None) -> Iterator[Check]:
-    """Every check in turn; the ones that start a process take a second or two each.
-
-    Args:
-        results: where runs are to be kept.
-        experiments: where manifests of the user's are, if they say so.
-    """
+    """Every check in turn, of the places of runs and of manifests too; some take a second or two each."""
     try:
         yield from packages()
     except metadata.PackageNotFoundError:  # a clone that is run as it is
@@ -88,11 +83,7 @@ def packages() -> Iterator[Check]:
 
 
 def package(name: str, specifier: str, *, needed: bool) -> Check:
-    """A package must be installed, at a version that `specifier` accepts.
-
-    Args:
-        needed: whether anything stops without it.
-    """
+    """A package must be installed, at a version that `specifier` accepts; a note where nothing needs it."""
     from packaging.specifiers import SpecifierSet
 
     state: Literal["note", "missing"] = "missing" if needed else "note"

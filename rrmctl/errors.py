@@ -51,11 +51,7 @@ def room_error(error: BaseException) -> RoomError | None:
 
 
 def check_known(name: str, known: Collection[str], problem: str, there: str = "known") -> None:
-    """Refuse a name that is not known.
-
-    Raises:
-        UserError: the problem, with the nearest name that there is; the hint lists all of them.
-    """
+    """Refuse a name that is not known: the problem, with the nearest name that there is; the hint lists all of them."""
     if name not in known:
         raise UserError(f"{problem}{nearest(name, known)}", f"{there}: {', '.join(known)}")
 

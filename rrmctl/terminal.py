@@ -61,11 +61,8 @@ class UndeliveredError(BaseException):
 
 
 class Outlet(io.FileIO):
-    """An open descriptor that drops what cannot be written, and waits where another program has made it one that fails.
-
-    Args:
-        descriptor: stays open when the outlet is closed.
-        telling: the first loss raises `UndeliveredError`.
+    """A descriptor, left open, that drops what cannot be written, and waits where another program made it one that
+    fails; if it is `telling`, the first loss raises `UndeliveredError`.
     """
 
     def __init__(self, descriptor: int, *, telling: bool = False) -> None:
@@ -85,10 +82,8 @@ class Outlet(io.FileIO):
 
 
 def attend(*, telling: bool = False) -> None:
-    """Replace the three standard streams by ones that never fail; for the beginning of a process.
-
-    Args:
-        telling: a loss on standard output raises `UndeliveredError`, once.
+    """Replace the three standard streams by ones that never fail, for the beginning of a process; where `telling`, a
+    loss on standard output raises `UndeliveredError`, once.
     """
     codecs.register_error(_plainly.__name__, _plainly)
     sys.stdin = sys.stdin or os.fdopen(_nothing())

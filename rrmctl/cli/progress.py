@@ -26,21 +26,13 @@ Rates = Mapping[tuple[str, str], float]
 
 @dataclass(frozen=True)
 class Group:
-    """Runs that are shown on one line.
+    """Runs that are shown on one line."""
 
-    Args:
-        name: what they have in common.
-        jobs: each once.
-        states: of every job, by id.
-        rates: speeds to reckon with; those of the group's own runs by default.
-        heading: what kind of thing `name` is.
-    """
-
-    name: str
+    name: str  #: what they have in common
     jobs: Sequence[JobRecord]
-    states: Mapping[str, Status]
-    rates: Rates | None = None
-    heading: str = ""
+    states: Mapping[str, Status]  #: of every job, by id
+    rates: Rates | None = None  #: speeds to reckon with; those of the group's own runs by default
+    heading: str = ""  #: what kind of thing `name` is
 
     @cached_property
     def counts(self) -> Counter[str]:

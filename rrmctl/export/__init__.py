@@ -9,9 +9,6 @@ def require(package: str) -> None:
     """Refuse to go on without a package that one format needs; the extra that installs it has its name.
 
     Asks the installation rather than importing: a folder of that name in the working directory can be imported, too.
-
-    Raises:
-        UserError: it is not installed.
     """
     try:
         metadata.version(package)

@@ -72,9 +72,6 @@ def sheet(
         legend: entries; default the methods.
         most: panels side by side on a page; a column has one, or two of more than three.
         height: of a panel, inches.
-
-    Raises:
-        UserError: there are no panels.
     """
     if not slots:
         raise nothing(section, lacking)
@@ -179,11 +176,7 @@ def from_frames(draw: Callable[[Section, Statistics], Figure]) -> Callable[..., 
 
 
 def one_section(rows: pd.DataFrame, jobs: pd.DataFrame | None) -> Section:
-    """The section of these frames.
-
-    Raises:
-        UserError: there is not exactly one, or its runs do not belong together.
-    """
+    """The section of these frames; several are refused."""
     read = sections(rows, jobs)
     if len(read) != 1:
         which = ", ".join(f"{section.experiment}/{section.variant}" for section in read) or "none"

@@ -29,11 +29,7 @@ OTHER_RUN_COLUMNS = {
 
 
 def write(bundle: Bundle, folder: Path) -> list[Path]:
-    """Write the three files into `folder`. Equal runs give equal bytes.
-
-    Raises:
-        StorageError: the folder takes no write.
-    """
+    """Write the three files into `folder`. Equal runs give equal bytes."""
     frames = {"evaluations": bundle.evaluations(), "runs": table(bundle.runs)}
     meanings = {"evaluations": described, "runs": (RUN_COLUMNS | OTHER_RUN_COLUMNS).__getitem__}
     dictionary = {

@@ -45,12 +45,7 @@ def tag(column: str) -> str:
 
 
 def write(bundle: Bundle, folder: Path) -> list[Path]:
-    """Write an event file for every run with an evaluation.
-
-    Raises:
-        UserError: the package tensorboard is missing.
-        StorageError: the folder takes no write.
-    """
+    """Write an event file for every run with an evaluation."""
     require("tensorboard")
     from tensorboard.summary.writer.record_writer import RecordWriter
 

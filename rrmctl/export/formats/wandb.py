@@ -34,12 +34,7 @@ _MARK = "rrmctl.json"
 
 
 def write(bundle: Bundle, folder: Path) -> list[Path]:
-    """Write an offline run for every run with an evaluation.
-
-    Raises:
-        UserError: the package wandb is missing, or failed.
-        StorageError: the folder takes no write.
-    """
+    """Write an offline run for every run with an evaluation."""
     require("wandb")
     targets, new = [], []
     for content in _contents(bundle):
@@ -96,11 +91,7 @@ def _contents(bundle: Bundle) -> Iterator[dict[str, Any]]:
 
 
 def _have_written(contents: Sequence[Mapping[str, Any]], folder: Path) -> None:
-    """Have W&B write the runs, in a process of its own: this one may be a notebook with a W&B run under way.
-
-    Raises:
-        UserError: it failed.
-    """
+    """Have W&B write the runs, in a process of its own: this one may be a notebook with a W&B run under way."""
     if not contents:
         return
     own = {name: value for name, value in environment().items() if not name.startswith("WANDB_")}

@@ -55,12 +55,7 @@ def gradient_norms(
 
 
 def draw(section: Section, settings: Statistics = DEFAULTS, gradients: pd.DataFrame | None = None) -> Figure:
-    """A panel for each task, with the median norm in each sixtieth of the steps, before and after the change.
-
-    Raises:
-        UserError: no run left norms.
-        DamagedError: a file with norms cannot be read.
-    """
+    """A panel for each task, with the median norm in each sixtieth of the steps, before and after the change."""
     if gradients is None:
         if section.source is None:
             raise nothing(section, "no gradients beside the curves")
