@@ -19,15 +19,11 @@ def cpu_model() -> str:
 
 
 def usable_cores(quota: Path = Path("/sys/fs/cgroup/cpu.max")) -> int:
-    """Cores this process may keep busy; batch systems and containers grant fewer than the machine has.
-
-    Args:
-        quota: the control group's limit, "max PERIOD" or "MICROSECONDS PERIOD".
-    """
+    """Cores this process may keep busy; batch systems and containers grant fewer than the machine has."""
     affinity = getattr(os, "sched_getaffinity", None)  # not on macOS
     cores = len(affinity(0)) if affinity is not None else os.cpu_count() or 1
     try:
-        granted, period = quota.read_text().split()
+        granted, period = quota.read_text().split()  # "max PERIOD" or "MICROSECONDS PERIOD"
     except (OSError, ValueError):
         return cores  # no control group, or none of version 2: nothing is limited this way
     return cores if granted == "max" else max(1, min(cores, math.floor(int(granted) / int(period))))

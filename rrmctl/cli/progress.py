@@ -77,15 +77,8 @@ class Group:
 
 def group_by_sweep(sweeps: Iterable[SweepRecord], states: Mapping[str, Status]) -> list[Group]:
     """One group for each variant of each experiment."""
-    return [
-        Group(
-            f"{sweep.experiment} ({sweep.variant})",
-            list({job.id: job for job in sweep.everything}.values()),
-            states,
-            heading="experiment",
-        )
-        for sweep in sweeps
-    ]
+    once = {f"{sweep.experiment} ({sweep.variant})": {job.id: job for job in sweep.everything} for sweep in sweeps}
+    return [Group(name, list(jobs.values()), states, heading="experiment") for name, jobs in once.items()]
 
 
 def group_by_row(sweeps: Iterable[SweepRecord], states: Mapping[str, Status]) -> list[Group]:
