@@ -190,7 +190,8 @@ def plot(
     from rrmctl.reports.select import of_profile, read_sections
     from rrmctl.reports.statistics import Statistics
 
-    modules = {figure: choose(figures(), figure, "figure").load() for figure in wanted or figures()}
+    entries = figures()
+    modules = {figure: choose(entries, figure, "figure").load() for figure in wanted or entries}
     settings = Statistics(kind=kind.value, replicates=replicates, width=width.value)
     sections = of_profile(read_sections(results, name, allow_mixed=allow_mixed), profile)
     for section in (section for section in sections if not section.contained):

@@ -63,8 +63,8 @@ def _slot(name: str, shown: Sequence[Series], looks: Looks, kind: IqmKind) -> Sl
 
 
 def smooth(values: Floats, window: int) -> Floats:
-    """Centred moving mean along the last axis over an odd number of evaluations; the window shrinks evenly at both ends,
-    so that no curve is shifted.
+    """Centred moving mean over an odd number of evaluations, along the last axis; the window shrinks evenly at both
+    ends, so that no curve is shifted.
     """
     if window < 1 or window % 2 == 0:
         raise ValueError(f"a centred window is an odd number of evaluations, not {window}")
