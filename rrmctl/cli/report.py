@@ -27,7 +27,6 @@ if TYPE_CHECKING:
 report_app = typer.Typer(no_args_is_help=True, help="Tables from the store, with intervals and what is missing.")
 
 Format = StrEnum("Format", ["TERMINAL", "MARKDOWN", "CSV", "LATEX", "JSON"])
-#: A test compares these two with `rrmctl.reports.figure_layout`.
 Drawing = StrEnum("Drawing", ["PNG", "PDF", "SVG"])
 Across = StrEnum("Across", {"COLUMN": "column", "PAGE": "page"})
 IqmKindOption = StrEnum("IqmKindOption", {"RLIABLE": "rliable", "EXACT": "exact"})

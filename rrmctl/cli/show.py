@@ -68,15 +68,9 @@ def _known(layout: Layout, folder: RunFolder, lines: int) -> dict[str, Any]:
     sweeps, unread = readable_sweeps(layout)
     note_damage(unread)
     uses = [
-        {
-            "experiment": sweep.experiment,
-            "variant": sweep.variant,
-            "superseded": gone,
-            **asdict(job),
-            "label": job.label,
-        }
+        {"experiment": sweep.experiment, "variant": sweep.variant, "superseded": old, **asdict(job), "label": job.label}
         for sweep in sweeps
-        for jobs, gone in ((sweep.everything, False), (sweep.superseded, True))
+        for jobs, old in ((sweep.everything, False), (sweep.superseded, True))
         for job in jobs
         if job.id == folder.id
     ]

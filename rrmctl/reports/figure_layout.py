@@ -28,9 +28,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-#: Forms of a file.
-FORMS = ("png", "pdf", "svg")
-
 #: Points: those of captions, so that a figure is legible where it is put in at its own size; and those of notes.
 TEXT: dict[Width, tuple[float, float]] = {"column": (7.0, 5.5), "page": (8.0, 6.5)}
 #: Inches.
@@ -215,7 +212,7 @@ def look(width: Width | None = None) -> AbstractContextManager[None]:
 
 
 def encode(figure: Figure, form: str, dpi: int = 200) -> bytes:
-    """The figure as a file's content; `form` is one of `FORMS`. Equal figures give equal bytes."""
+    """The content of a file of this form: png, pdf or svg. Equal figures give equal bytes."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
 
     FigureCanvasAgg(figure)
