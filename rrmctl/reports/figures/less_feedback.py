@@ -36,15 +36,10 @@ class Sweep:
 
     task: str
     teacher: str
+    score: str
     field: str  #: of `Schedule`, in which they differ
     schedules: tuple[Schedule, ...]  #: from most feedback to least
-    series: Mapping[tuple[str, Schedule], Series]  #: by method and schedule
-    values: Mapping[Series, Floats]  #: at the steps that all of the task have, [S, T]
-
-    @property
-    def score(self) -> str:
-        """Of the task."""
-        return next(iter(self.series.values())).score
+    values: Mapping[tuple[str, Schedule], Floats]  #: by method, at the steps that all of the task have, [S, T]
 
 
 def suits(section: Section) -> bool:
@@ -79,10 +74,13 @@ def draw(section: Section, settings: Statistics = DEFAULTS) -> Figure:
 def _sweeps(section: Section) -> tuple[list[Sweep], list[str]]:
     """The comparisons of schedules that the section holds, task by task, and why some tasks have none."""
     sweeps, apart = [], []
-    asking = [series for series in section.series if series.n and series.label.feedback != NOTHING_ASKED]
-    for task in dict.fromkeys(series.label.task for series in asking):
+    tasks: dict[str, list[Series]] = {}
+    for series in section.series:
+        if series.n and series.label.feedback != NOTHING_ASKED:
+            tasks.setdefault(series.label.task, []).append(series)
+    for task, asking in tasks.items():
         try:
-            _, values = read_together([series for series in asking if series.label.task == task])
+            _, values = read_together(asking)
         except UserError as error:
             apart.append(str(error))
             continue
@@ -93,8 +91,8 @@ def _sweeps(section: Section) -> tuple[list[Sweep], list[str]]:
                 by_teacher.setdefault(series.label.teacher, {})[series.label.method, schedule] = series
         for teacher, taught in by_teacher.items():
             for field, chosen in _compared({schedule for _, schedule in taught}):
-                own = {key: series for key, series in taught.items() if key[1] in chosen}
-                sweeps.append(Sweep(task, teacher, field, chosen, own, values))
+                own = {key: values[series] for key, series in taught.items() if key[1] in chosen}
+                sweeps.append(Sweep(task, teacher, asking[0].score, field, chosen, own))
     return sweeps, apart
 
 
@@ -111,17 +109,17 @@ def _compared(schedules: set[Schedule]) -> Iterator[tuple[str, tuple[Schedule, .
 def _slot(group: Sequence[Sweep], several: bool, looks: Looks, settings: Statistics) -> Slot:
     """A panel: one task, or the mean of several; `several` teachers are named."""
     first, scale = group[0], 100 if group[0].score == "success" else 1
-    methods = list(dict.fromkeys(method for method, _ in first.series))
+    methods = list(dict.fromkeys(method for method, _ in first.values))
 
     def fill(axes: Axes) -> None:
         for row, method in enumerate(methods):
             at = [
                 place
                 for place, schedule in enumerate(first.schedules)
-                if all((method, schedule) in sweep.series for sweep in group)
+                if all((method, schedule) in sweep.values for sweep in group)
             ]
             x = np.array(at) + 0.12 * (row - (len(methods) - 1) / 2)
-            tasks = [[sweep.values[sweep.series[method, first.schedules[place]]] for sweep in group] for place in at]
+            tasks = [[sweep.values[method, first.schedules[place]] for sweep in group] for place in at]
             means = [score(values, settings).estimate() for values in tasks]
             y, low, high = (
                 [scale * float(getattr(mean, end)) for mean in means] for end in ("estimate", "low", "high")
@@ -142,7 +140,7 @@ def _slot(group: Sequence[Sweep], several: bool, looks: Looks, settings: Statist
         across = f"Queries a session,\nevery {short_steps(first.schedules[0].every)} steps"
     else:
         across = f"Steps between\nsessions of {first.schedules[0].batch}"
-    runs = [(series.label.method, series.n) for sweep in group for series in sweep.series.values()]
+    runs = [(method, len(values)) for sweep in group for (method, _), values in sweep.values.items()]
     return Slot(name, UNITS[first.score], fill, across, runs)
 
 
