@@ -19,11 +19,7 @@ _WORD = re.compile(r"(?!(?:true|false|inf|nan)$)[A-Za-z_][\w-]*")
 
 
 def rrmctl(*words: str, results: str | Path | None = None) -> str:
-    """An `rrmctl` command.
-
-    Args:
-        results: the results root that it is about; said where the command would not take it by itself.
-    """
+    """An `rrmctl` command; the results root that it is about is said where it would not take that by itself."""
     default = Path(os.environ.get("RRMCTL_RESULTS") or DEFAULT_RESULTS)
     where = () if results is None or Path(results) == default else ("--results", str(results))
     return shlex.join(["rrmctl", *words, *where])
@@ -52,34 +48,24 @@ def run_commands(
     for task, method, seed in runs:
         seeds[task, method].add(seed)
     alike: defaultdict[tuple[str, tuple[int, ...]], list[str]] = defaultdict(list)
-    for (task, method), found in seeds.items():
-        alike[task, tuple(sorted(found))].append(method)
-    known = [list(words) for words in asked]
+    for (task, method), numbers in seeds.items():
+        alike[task, tuple(sorted(numbers))].append(method)
+    # Another experiment may have the run as well: only commands that name this one say where it comes from.
+    naming = [words for words in asked if any(Path(word.removesuffix(".toml")).name == experiment for word in words)]
+    said = [part for words in naming for word in words for part in (word.split("=", 1) if word[:2] == "--" else [word])]
+    manifests = [word for word in said if word.endswith(".toml") and Path(word).stem == experiment]
+    sources = dict.fromkeys(pair for pair in itertools.pairwise(said) if pair[0] in ("--experiments", "--prior"))
     changes = [word for key, value in overrides.items() for word in ("--set", f"{key}={assigned(value)}")]
     commands = []
-    for (task, numbers), methods in alike.items():
-        name, sources = _found(known, experiment, methods)
-        listed = ",".join(map(str, numbers)) + ("," if len(numbers) == 1 else "")
-        words = ["run", name, "--profile", profile, *changes, *sources, "--tasks", task, "--methods", ",".join(methods)]
+    for (task, group), methods in alike.items():
+        listed = ",".join(map(str, group)) + ("," if len(group) == 1 else "")
+        words = ["run", (manifests or [experiment])[-1], "--profile", profile, *changes]
+        for option, value in sources:
+            if option == "--experiments" or f"rrm-{value.rpartition(':')[2]}" in methods:
+                words += [option, value]
+        words += ["--tasks", task, "--methods", ",".join(methods)]
         commands.append(" ".join([rrmctl(*words, "--seeds", listed, results=results), *options]))
     return commands
-
-
-def _found(asked: Iterable[Sequence[str]], experiment: str, methods: Sequence[str]) -> tuple[str, list[str]]:
-    """What such commands call the experiment, and the options that say where it and these methods come from."""
-    name = experiment
-    options: dict[tuple[str, str], None] = {}
-    for command in asked:
-        called = [word for word in command if Path(word.removesuffix(".toml")).name == experiment]
-        if not called:
-            continue  # it asked for another experiment, which has the run as well
-        words = [part for word in command for part in (word.split("=", 1) if word.startswith("--") else [word])]
-        for word, value in itertools.pairwise([*words, ""]):
-            if word in called and word.endswith(".toml"):
-                name = word
-            if word == "--experiments" or (word == "--prior" and f"rrm-{value.rpartition(':')[2]}" in methods):
-                options[word, value] = None
-    return name, [word for pair in options for word in pair]
 
 
 def assigned(value: Any) -> str:

@@ -31,7 +31,6 @@ _RENDER = (
     "import mujoco as m; k=m.MjModel.from_xml_string('<mujoco><worldbody><geom size=\"1\"/></worldbody></mujoco>');"
     "d=m.MjData(k); r=m.Renderer(k,8,8); r.update_scene(d); r.render(); r.close()"
 )
-_SIMULATE = "import mujoco, metaworld, dm_control.suite, gymnasium, torch"
 _MESA = "apt-get install libegl1 libegl-mesa0 libgl1-mesa-dri; or: apt-get install libosmesa6"
 
 
@@ -45,56 +44,46 @@ class Check:
     fix: str = ""
 
 
-def examine(results: Path, experiments: Path | None) -> Iterator[Check]:
-    """Every check in turn; the ones that start a process take a second or two each.
+def _needed(name: str, fits: bool, found: str, fix: str) -> Check:
+    return Check(name, "ok", found) if fits else Check(name, "missing", found, fix)
 
-    Args:
-        results: where runs are to be kept.
-        experiments: where manifests of the user's are, if they say so.
-    """
+
+def examine(results: Path, experiments: Path | None) -> Iterator[Check]:
+    """Every check in turn, of the places of runs and of manifests too; some take a second or two each."""
     try:
-        yield python_version()
         yield from packages()
     except metadata.PackageNotFoundError:  # a clone that is run as it is
         fix = f"{Path(sys.executable).name} -m pip install --editable {Path(__file__).parents[1]}"
         yield Check(DISTRIBUTION, "missing", "not installed, so that nobody knows what it needs", fix)
-    yield simulators()
-    yield processor()
-    yield threads()
+    problem = _try("import mujoco, metaworld, dm_control.suite, gymnasium, torch")  # installed need not mean it loads
+    state = problem or "mujoco, Meta-World, DM-Control and torch load"
+    yield _needed("simulators", problem is None, state, "reinstall: pip install --force-reinstall the package it names")
+    cores = f"{usable_cores()} usable of {os.cpu_count()} ({cpu_model()}); one job keeps one busy"
+    yield Check("cores", "ok", cores)
+    yield Check("threads", "ok", "one per worker, whatever is set in this shell")
     yield precision()
     yield from folders(results, experiments)
     yield rendering()
 
 
-def python_version() -> Check:
-    """The simulators have wheels for some versions only."""
+def packages() -> Iterator[Check]:
+    """Python and every required package at an accepted version; simulated robots' as a note."""
+    from packaging.requirements import Requirement
     from packaging.specifiers import SpecifierSet
 
-    wanted = metadata.metadata(DISTRIBUTION)["Requires-Python"]
-    version = platform.python_version()
-    if SpecifierSet(wanted).contains(version, prereleases=True):
-        return Check("python", "ok", f"{version} ({sys.executable})")
-    return Check("python", "missing", f"{version}, but {DISTRIBUTION} needs {wanted}", "install Python 3.11 or 3.12")
-
-
-def packages() -> Iterator[Check]:
-    """Every required package at an accepted version; those of extras as notes."""
-    from packaging.requirements import Requirement
-
+    wanted, version = metadata.metadata(DISTRIBUTION)["Requires-Python"], platform.python_version()
+    fits = SpecifierSet(wanted).contains(version, prereleases=True)
+    state = f"{version} ({sys.executable})" if fits else f"{version}, but {DISTRIBUTION} needs {wanted}"
+    yield _needed("python", fits, state, "install Python 3.11 or 3.12")
     for text in metadata.requires(DISTRIBUTION) or []:
-        wanted = Requirement(text)
-        extra = wanted.marker is not None and not wanted.marker.evaluate({"extra": ""})
-        if extra and wanted.name != "pybullet":
-            continue  # tools of developers
-        yield package(wanted.name, str(wanted.specifier), needed=not extra)
+        requirement = Requirement(text)
+        extra = requirement.marker is not None and not requirement.marker.evaluate({"extra": ""})
+        if not extra or requirement.name == "pybullet":  # the others are tools of developers
+            yield package(requirement.name, str(requirement.specifier), needed=not extra)
 
 
 def package(name: str, specifier: str, *, needed: bool) -> Check:
-    """A package must be installed, at a version that `specifier` accepts.
-
-    Args:
-        needed: whether anything stops without it.
-    """
+    """A package must be installed, at a version that `specifier` accepts; a note where nothing needs it."""
     from packaging.specifiers import SpecifierSet
 
     state: Literal["note", "missing"] = "missing" if needed else "note"
@@ -108,24 +97,6 @@ def package(name: str, specifier: str, *, needed: bool) -> Check:
     return Check(name, "ok", version)
 
 
-def simulators() -> Check:
-    """Do the simulators and torch load? Installed is not enough: their compiled parts may miss a library."""
-    problem = _try(_SIMULATE)
-    if problem is None:
-        return Check("simulators", "ok", "mujoco, Meta-World, DM-Control and torch load")
-    return Check("simulators", "missing", problem, "reinstall: pip install --force-reinstall the package it names")
-
-
-def processor() -> Check:
-    """What the sweeps will run on."""
-    return Check("cores", "ok", f"{usable_cores()} usable of {os.cpu_count()} ({cpu_model()}); one job keeps one busy")
-
-
-def threads() -> Check:
-    """Workers set their own limits; a limit in the environment of this shell does not matter to them."""
-    return Check("threads", "ok", "one per worker, whatever is set in this shell")
-
-
 def precision(cpuinfo: Path = Path("/proc/cpuinfo")) -> Check:
     """Float32 is what runs compute in unless told otherwise; bfloat16 is faster where the processor has it."""
     flags = extensions(cpuinfo)
@@ -137,37 +108,26 @@ def precision(cpuinfo: Path = Path("/proc/cpuinfo")) -> Check:
 
 
 def folders(results: Path, experiments: Path | None) -> Iterator[Check]:
-    """Runs are kept in `results`; there are manifests, those in `experiments` among them."""
-    yield writable(results)
+    """Where runs are kept files can be written and locked, and there is room; there are manifests."""
     there = next((folder for folder in (results, *results.absolute().parents) if folder.exists()), Path("/"))
+    try:
+        with tempfile.NamedTemporaryFile(dir=there, prefix=".rrmctl-") as file:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            os.fsync(file.fileno())
+        yield Check("results", "ok", f"{results} {'can be written' if results.exists() else 'can be made'}")
+    except OSError as error:
+        yield Check("results", "missing", f"{results}: {error.strerror}", "choose a folder with --results DIR")
     free = shutil.disk_usage(there).free
-    enough = free >= _DISK_NEEDED
-    yield Check(
-        "disk", "ok" if enough else "missing", f"{free / 1024**3:.1f} GB free for {results}",
-        "" if enough else "free 2 GB, or choose another disk with --results DIR",
-    )  # fmt: skip
+    room = f"{free / 1024**3:.1f} GB free for {results}"
+    yield _needed("disk", free >= _DISK_NEEDED, room, "free 2 GB, or choose another disk with --results DIR")
     try:
         manifests = available(experiments).values()
     except UserError as error:
         yield Check("experiments", "missing", str(error), error.hint or "")
         return
     shipped = sum(path.parent == SHIPPED for path in manifests)
-    fix = "" if shipped else "reinstall rrmctl: those that come with it are gone"
-    yield Check(
-        "experiments", "ok" if shipped else "missing", f"{shipped} of rrmctl, {len(manifests) - shipped} of yours", fix
-    )
-
-
-def writable(results: Path) -> Check:
-    """Where runs are kept, files must be written and locked."""
-    there = next((folder for folder in (results, *results.absolute().parents) if folder.exists()), Path("/"))
-    try:
-        with tempfile.NamedTemporaryFile(dir=there, prefix=".rrmctl-") as file:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            os.fsync(file.fileno())
-    except OSError as error:
-        return Check("results", "missing", f"{results}: {error.strerror}", "choose a folder with --results DIR")
-    return Check("results", "ok", f"{results} {'can be written' if results.exists() else 'can be made'}")
+    counts = f"{shipped} of rrmctl, {len(manifests) - shipped} of yours"
+    yield _needed("experiments", shipped > 0, counts, "reinstall rrmctl: those that come with it are gone")
 
 
 def rendering(backends: tuple[str, ...] = ("egl", "osmesa")) -> Check:

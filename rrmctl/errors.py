@@ -45,17 +45,13 @@ def room_error(error: BaseException) -> RoomError | None:
     if number == errno.EAGAIN or "can't start new thread" in text:
         return RoomError("threads or processes")
     unmapped = "failed to map segment" in text or "cannot allocate memory" in text  # of a library that is loaded
-    return (
-        RoomError("pages of memory") if isinstance(error, MemoryError) or number == errno.ENOMEM or unmapped else None
-    )
+    if isinstance(error, MemoryError) or number == errno.ENOMEM or unmapped:
+        return RoomError("pages of memory")
+    return None
 
 
 def check_known(name: str, known: Collection[str], problem: str, there: str = "known") -> None:
-    """Refuse a name that is not known.
-
-    Raises:
-        UserError: the problem, with the nearest name that there is; the hint lists all of them.
-    """
+    """Refuse a name that is not known: the problem, with the nearest name that there is; the hint lists all of them."""
     if name not in known:
         raise UserError(f"{problem}{nearest(name, known)}", f"{there}: {', '.join(known)}")
 

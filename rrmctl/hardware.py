@@ -5,30 +5,25 @@ from __future__ import annotations
 import math
 import os
 import platform
+import re
 from pathlib import Path
 
 
 def cpu_model() -> str:
     """The processor's name as the system tells it, "unknown" where it does not."""
     info = Path("/proc/cpuinfo")
-    if info.is_file():
-        for line in info.read_text(errors="replace").splitlines():
-            name, _, value = line.partition(":")
-            if name.strip() == "model name":
-                return value.strip()
-    return platform.processor() or "unknown"
+    named = (
+        re.search(r"^model name\s*:(.*)", info.read_text(errors="replace"), re.MULTILINE) if info.is_file() else None
+    )
+    return named[1].strip() if named else platform.processor() or "unknown"
 
 
 def usable_cores(quota: Path = Path("/sys/fs/cgroup/cpu.max")) -> int:
-    """Cores this process may keep busy; batch systems and containers grant fewer than the machine has.
-
-    Args:
-        quota: the control group's limit, "max PERIOD" or "MICROSECONDS PERIOD".
-    """
+    """Cores this process may keep busy; batch systems and containers grant fewer than the machine has."""
     affinity = getattr(os, "sched_getaffinity", None)  # not on macOS
     cores = len(affinity(0)) if affinity is not None else os.cpu_count() or 1
     try:
-        granted, period = quota.read_text().split()
+        granted, period = quota.read_text().split()  # "max PERIOD" or "MICROSECONDS PERIOD"
     except (OSError, ValueError):
         return cores  # no control group, or none of version 2: nothing is limited this way
     return cores if granted == "max" else max(1, min(cores, math.floor(int(granted) / int(period))))

@@ -48,10 +48,10 @@ class Label(NamedTuple):
 
 def panels(labels: Iterable[Label]) -> dict[tuple[str, str, str], list[Label]]:
     """What is compared with one another, by task, teacher and feedback; what asks nothing is in all of its task."""
-    distinct, found = list(dict.fromkeys(labels)), {}
+    distinct, compared = list(dict.fromkeys(labels)), {}
     for task in dict.fromkeys(label.task for label in distinct):
         here = [label for label in distinct if label.task == task]
         silent = (NOTHING_ASKED, NOTHING_ASKED)
         for where in dict.fromkeys(label[2:] for label in here if label.teacher != NOTHING_ASKED) or {silent: None}:
-            found[task, *where] = [label for label in here if label[2:] in (where, silent)]
-    return found
+            compared[task, *where] = [label for label in here if label[2:] in (where, silent)]
+    return compared

@@ -14,9 +14,6 @@ class WakingTime:
 
     Who was stopped for a minute (SIGSTOP, a frozen container) has seen nothing of that minute, and must not blame the
     silence on others, who may have been stopped with it.
-
-    Args:
-        clock: in seconds, and never going back.
     """
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:

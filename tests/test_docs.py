@@ -15,7 +15,6 @@ from rrmctl.export.formats import formats
 from rrmctl.planning.manifest import load
 from rrmctl.reports import iqm_curves
 from rrmctl.reports.figures import figures
-from rrmctl.reports.notebook import FromFrames
 from rrmctl.reports.tables import kinds
 
 ROOT = Path(__file__).parent.parent
@@ -150,7 +149,7 @@ def test_every_figure_takes_a_dataframe():
     """Each module of a figure offers a function from the store's rows to a matplotlib figure."""
     for name, entry in figures().items():
         offered = [each for key, each in vars(entry.load()).items() if not key.startswith("_") and callable(each)]
-        drawing = [each for each in offered if inspect.isfunction(each) or isinstance(each, FromFrames)]
+        drawing = [each for each in offered if inspect.isfunction(each)]
         first = [next(iter(inspect.signature(each).parameters), None) for each in drawing]
         assert "rows" in first, name
 

@@ -16,10 +16,9 @@ from typer.core import TyperGroup
 import rrm
 from rrm.environ import environment
 from rrm.errors import RrmError
-from rrmctl.cli import clean, demos, explain, export, page, plan, prior, report, run, show, status
+from rrmctl.cli import clean, demos, plan, prior, report, run, show, status
 from rrmctl.errors import Exit, UserError, room_error
-from rrmctl.streams import UndeliveredError, attend
-from rrmctl.terminal import console
+from rrmctl.terminal import UndeliveredError, attend, console
 
 #: Conditions of the machine rather than bugs of the program.
 _MACHINE = {errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOSPC, errno.EDQUOT}
@@ -130,12 +129,10 @@ def rrmctl(
 
 _COMMANDS = (
     *(plan.list_, plan.plan, run.run, status.status, run.resume, show.show),
-    *(report.plot, export.export, clean.clean, plan.doctor),
+    *(report.plot, report.export, clean.clean, plan.doctor),
 )
 for _command in _COMMANDS:
     app.command(_command.__name__.rstrip("_"))(_command)  # list_ is the command `list`
-report.report_app.command("html")(page.html)
-report.report_app.command("explain")(explain.explain)
 app.add_typer(report.report_app, name="report")
 app.add_typer(prior.prior_app, name="prior")
 app.add_typer(demos.demos_app, name="demos")

@@ -11,11 +11,11 @@ from rrmctl.running.scheduler import Ending, Outcome, Stage
 from rrmctl.running.supervisor import Assignment
 from rrmctl.store.layout import Layout
 from rrmctl.store.reader import log_tail
-from rrmctl.store.status import ErrorKind, RunError
+from rrmctl.store.status import ErrorKind
 
 if TYPE_CHECKING:
     from rich.console import Console
-    from rich.progress import Progress, TaskID
+    from rich.progress import TaskID
 
 #: Least time between two lines about the evaluations of one job, seconds.
 _EVERY_S = 10.0
@@ -39,8 +39,7 @@ class Lines:
         self._said: dict[str, float] = {}
 
     def started(self, job: str, attempt: int) -> None:
-        again = f", attempt {attempt}" if attempt > 1 else ""
-        self.say(job, f"started{again}")
+        self.say(job, f"started, attempt {attempt}" if attempt > 1 else "started")
 
     def beat(self, job: str, step: int, steps_per_s: float | None) -> None:
         """Nothing: lines are for what lasts."""
@@ -56,6 +55,7 @@ class Lines:
     def ended(self, job: str, outcome: Outcome, phase: Stage) -> None:
         if phase in (Stage.DONE, Stage.FAILED, Stage.BLOCKED):
             self.over += 1
+        error, folder = outcome.error, self._layout.run(job)
         match outcome.ending:
             case Ending.DONE:
                 self.say(job, f"done ({self.over} of {self.total})", style="green")
@@ -64,10 +64,15 @@ class Lines:
             case Ending.ELSEWHERE:
                 self.say(job, "is run by another process", style="dim")
             case Ending.BLOCKED:
-                self.say(job, f"not run: {outcome.error}", style="red")
+                self.say(job, f"not run: {error}", style="red")
+            case Ending.FAILED if error and error.kind is ErrorKind.WAITING:
+                self.say(job, f"waits for {error}", style="yellow")
             case Ending.FAILED:
-                assert outcome.error is not None  # a failure says why
-                self._failed(job, outcome.error, phase)
+                after = {Stage.WAITING: "will be tried again", Stage.FAILED: "failed"}.get(phase, "stopped")
+                self.say(job, f"{after}: {error}", style="red")
+                if error and error.kind not in (ErrorKind.REFUSED, ErrorKind.STORAGE, ErrorKind.MISSING):
+                    for line in (*log_tail(folder), f"log: {folder.log}"):  # else the message says it all
+                        self.console.print(f"    {line}", style="dim", soft_wrap=True)
 
     def stopping(self, workers: int, wait_s: float) -> None:
         self.console.print(
@@ -87,32 +92,29 @@ class Lines:
         line = Text.assemble((time.strftime("%H:%M:%S "), "dim"), (self._jobs[job].label, "bold"), ": ")
         self.console.print(line.append(text, style), soft_wrap=True)
 
-    def _failed(self, job: str, error: RunError, phase: Stage) -> None:
-        if error.kind is ErrorKind.WAITING:
-            self.say(job, f"waits for {error}", style="yellow")
-            return
-        after = {Stage.WAITING: "will be tried again", Stage.FAILED: "failed"}.get(phase, "stopped")
-        self.say(job, f"{after}: {error}", style="red")
-        folder = self._layout.run(job)
-        if error.kind in (ErrorKind.REFUSED, ErrorKind.STORAGE, ErrorKind.MISSING):
-            return  # the message says it all
-        for line in log_tail(folder):
-            self.console.print(f"    {line}", style="dim", soft_wrap=True)
-        self.console.print(f"    log: {folder.log}", style="dim", soft_wrap=True)
-
 
 class Bars(Lines):
     """Lines, and below them a bar for each running job and one for all."""
 
     def __init__(self, console: Console, layout: Layout, assignments: Sequence[Assignment]) -> None:
+        from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn
+
         super().__init__(console, layout, assignments)
-        self.progress = _progress(console)
+        self.progress = Progress(
+            TextColumn("{task.description}", markup=False),
+            BarColumn(),
+            TaskProgressColumn(),
+            TextColumn("{task.fields[rate]}", justify="right"),
+            TextColumn("{task.fields[score]}"),
+            TextColumn("{task.fields[left]}", justify="right"),
+            console=console,
+            auto_refresh=False,  # the pool's ticks refresh it: no second thread beside the one that starts processes
+            transient=True,
+        )
         self._bars: dict[str, TaskID] = {}
         self._all = self.progress.add_task("", total=self.total, rate="", score="", left="")
-        self._began = time.monotonic()
         self._steps_done = 0  # of finished jobs
         self._rates: dict[str, float] = {}
-        self._at: dict[str, int] = {}
 
     def started(self, job: str, attempt: int) -> None:
         if attempt > 1:
@@ -121,7 +123,6 @@ class Bars(Lines):
         self._bars[job] = self.progress.add_task(assignment.label, total=assignment.steps, rate="", score="", left="")
 
     def beat(self, job: str, step: int, steps_per_s: float | None) -> None:
-        self._at[job] = step
         if steps_per_s:
             # Smoothed over a few seconds: single beats jump with every feedback session.
             self._rates[job] = 0.9 * self._rates.get(job, steps_per_s) + 0.1 * steps_per_s
@@ -130,7 +131,6 @@ class Bars(Lines):
         self._update(job, completed=step, rate=f"{rate:,.0f} steps/s" if rate else "", left=left)
 
     def row(self, job: str, step: int, success: float | None, true_return: float | None) -> None:
-        self._at[job] = step
         self._update(job, completed=step, score=score(success, true_return))
 
     def ended(self, job: str, outcome: Outcome, phase: Stage) -> None:
@@ -138,22 +138,18 @@ class Bars(Lines):
         if job in self._bars:
             self.progress.remove_task(self._bars.pop(job))
         self._rates.pop(job, None)
-        self._at.pop(job, None)
         if phase in (Stage.DONE, Stage.FAILED, Stage.BLOCKED):
             self._steps_done += self._jobs[job].steps
 
     def tick(self) -> None:
-        told = f"{self.over} of {self.total} runs"
-        self.progress.update(self._all, description=told, completed=self.over, left=self._left())
+        left, speed = "", sum(self._rates.values())
+        if speed:  # that of the jobs that run now
+            running = sum(task.completed for task in self.progress.tasks if task.id != self._all)
+            steps = sum(job.steps for job in self._jobs.values()) - self._steps_done - running
+            left = duration(steps / speed / 3600)
+        counts = f"{self.over} of {self.total} runs"
+        self.progress.update(self._all, description=counts, completed=self.over, left=left)
         self.progress.refresh()
-
-    def _left(self) -> str:
-        """Time until all is done, at the speed of the jobs that run now."""
-        speed = sum(self._rates.values())
-        if not speed:
-            return ""
-        steps = sum(job.steps for job in self._jobs.values()) - self._steps_done - sum(self._at.values())
-        return duration(steps / speed / 3600)
 
     def _update(self, job: str, **fields: object) -> None:
         if job in self._bars:
@@ -165,19 +161,3 @@ def score(success: float | None, true_return: float | None) -> str:
     if success is not None:
         return f"success {success:.0%}"
     return "" if true_return is None else f"return {true_return:,.1f}"
-
-
-def _progress(console: Console) -> Progress:
-    from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn
-
-    return Progress(
-        TextColumn("{task.description}", markup=False),
-        BarColumn(),
-        TaskProgressColumn(),
-        TextColumn("{task.fields[rate]}", justify="right"),
-        TextColumn("{task.fields[score]}"),
-        TextColumn("{task.fields[left]}", justify="right"),
-        console=console,
-        auto_refresh=False,  # the pool's ticks refresh it: no second thread beside the one that starts processes
-        transient=True,
-    )

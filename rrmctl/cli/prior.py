@@ -7,7 +7,7 @@ import os
 import shlex
 from datetime import datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
@@ -15,9 +15,6 @@ from rrm.files import place, read_bounded
 from rrmctl.cli.options import ExperimentsOption
 from rrmctl.cli.screen import tell
 from rrmctl.errors import UserError
-
-if TYPE_CHECKING:
-    from rrm.priors.language import Record
 
 prior_app = typer.Typer(no_args_is_help=True, help="Prepare priors that are not functions of your own.")
 language_app = typer.Typer(no_args_is_help=True, help="Priors that a language model writes, in any chat.")
@@ -91,22 +88,17 @@ def add(
     manifests = experiments or OWN
     folder = into or manifests.absolute().parent / "priors"
     target, record = freeze_best(spec, files, folder, model=model, date=f"{date:%Y-%m-%d}", prompt=text)
-    _show(record)
+    for candidate in record.candidates:
+        score = "the only one left" if candidate.score is None else f"{candidate.score:.4f}"
+        kept = "*" if candidate.file == record.kept else " "
+        tell(f"{kept} {candidate.refused or f'{candidate.file}: {score}'}")
     name = os.path.relpath(target)
     option = shlex.join(["--prior", f"{name}:reward"])
     line = f"prior = {json.dumps(f'{os.path.relpath(target, manifests)}:reward')}"  # manifests name files from there
     tell(f"\nfrozen: {name}\nuse it: {option}, or {line} in the [method.NAME] of a manifest in {manifests}")
 
 
-def _show(record: Record) -> None:
-    for candidate in record.candidates:
-        score = "the only one left" if candidate.score is None else f"{candidate.score:.4f}"
-        kept = "*" if candidate.file == record.kept else " "
-        tell(f"{kept} {candidate.refused or f'{candidate.file}: {score}'}")
-
-
 def _read(path: Path) -> str:
-
     try:
         return read_bounded(path, _LARGEST_PROMPT).decode()
     except OSError as error:

@@ -26,21 +26,13 @@ Rates = Mapping[tuple[str, str], float]
 
 @dataclass(frozen=True)
 class Group:
-    """Runs that are shown on one line.
+    """Runs that are shown on one line."""
 
-    Args:
-        name: what they have in common.
-        jobs: each once.
-        states: of every job, by id.
-        rates: speeds to reckon with; those of the group's own runs by default.
-        heading: what kind of thing `name` is.
-    """
-
-    name: str
+    name: str  #: what they have in common
     jobs: Sequence[JobRecord]
-    states: Mapping[str, Status]
-    rates: Rates | None = None
-    heading: str = ""
+    states: Mapping[str, Status]  #: of every job, by id
+    rates: Rates | None = None  #: speeds to reckon with; those of the group's own runs by default
+    heading: str = ""  #: what kind of thing `name` is
 
     @cached_property
     def counts(self) -> Counter[str]:
@@ -74,8 +66,7 @@ class Group:
         """Time left, in words: that of the workers while some run, else that of one core; empty where unknown."""
         if not self.open or self.seconds_left is None:
             return ""
-        running = self.counts["running"]
-        hours = self.seconds_left / 3600
+        running, hours = self.counts["running"], self.seconds_left / 3600
         return duration(hours / running) if running else f"{duration(hours)} of one core"
 
     def as_json(self) -> dict[str, Any]:
@@ -86,10 +77,8 @@ class Group:
 
 def group_by_sweep(sweeps: Iterable[SweepRecord], states: Mapping[str, Status]) -> list[Group]:
     """One group for each variant of each experiment."""
-    return [
-        Group(f"{sweep.experiment} ({sweep.variant})", _once(sweep.everything), states, heading="experiment")
-        for sweep in sweeps
-    ]
+    once = {f"{sweep.experiment} ({sweep.variant})": {job.id: job for job in sweep.everything} for sweep in sweeps}
+    return [Group(name, list(jobs.values()), states, heading="experiment") for name, jobs in once.items()]
 
 
 def group_by_row(sweeps: Iterable[SweepRecord], states: Mapping[str, Status]) -> list[Group]:
@@ -108,18 +97,14 @@ def group_by_row(sweeps: Iterable[SweepRecord], states: Mapping[str, Status]) ->
 
 def errors(jobs: Iterable[JobRecord], states: Mapping[str, Status]) -> dict[str, list[JobRecord]]:
     """Failed, blocked and unreadable runs by what went wrong, the most frequent first."""
-    found: defaultdict[str, list[JobRecord]] = defaultdict(list)
+    stopped: defaultdict[str, list[JobRecord]] = defaultdict(list)
     for job in jobs:
         status = states[job.id]
         if status.state in ("failed", "blocked", "unreadable"):
-            found[str(status.error or "no reason was recorded")].append(job)
-    return dict(sorted(found.items(), key=lambda item: -len(item[1])))
+            stopped[str(status.error or "no reason was recorded")].append(job)
+    return dict(sorted(stopped.items(), key=lambda item: -len(item[1])))
 
 
 def runs(count: int) -> str:
     """`1 run`, `2 runs`."""
     return f"{count} run{'s' if count != 1 else ''}"
-
-
-def _once(jobs: Iterable[JobRecord]) -> list[JobRecord]:
-    return list({job.id: job for job in jobs}.values())

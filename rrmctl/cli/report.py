@@ -1,12 +1,12 @@
-"""`rrmctl report ...` and `rrmctl plot`: what the store says, as tables and figures."""
+"""`rrmctl report ...`, `plot` and `export`: what the store says, as tables, figures, a page, and for other programs."""
 
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -14,9 +14,10 @@ from rrm.files import place
 from rrmctl.cli.options import DEFAULT_RESULTS, ResultsOption
 from rrmctl.cli.screen import tell
 from rrmctl.errors import UserError
+from rrmctl.export.formats import formats
 from rrmctl.reports.figures import figures
 from rrmctl.reports.plugins import choose
-from rrmctl.reports.tables import kinds
+from rrmctl.reports.tables import explained, kinds
 from rrmctl.terminal import spelled, stdout_console
 
 if TYPE_CHECKING:
@@ -25,43 +26,23 @@ if TYPE_CHECKING:
 
 report_app = typer.Typer(no_args_is_help=True, help="Tables from the store, with intervals and what is missing.")
 
-
-class Format(StrEnum):
-    """Forms of a table."""
-
-    TERMINAL = "terminal"
-    MARKDOWN = "markdown"
-    CSV = "csv"
-    LATEX = "latex"
-    JSON = "json"
+Format = StrEnum("Format", ["TERMINAL", "MARKDOWN", "CSV", "LATEX", "JSON"])
+Drawing = StrEnum("Drawing", ["PNG", "PDF", "SVG"])
+Across = StrEnum("Across", {"COLUMN": "column", "PAGE": "page"})
+IqmKindOption = StrEnum("IqmKindOption", {"RLIABLE": "rliable", "EXACT": "exact"})
 
 
-class Drawing(StrEnum):
-    """Forms of a figure's file; a test compares with `rrmctl.reports.figure_files`."""
-
-    PNG = "png"
-    PDF = "pdf"
-    SVG = "svg"
+def experiment(name: str) -> str:
+    """Experiments are called like their manifest's file; the path of one is understood too."""
+    return Path(name).stem if name.endswith(".toml") else name
 
 
-class Across(StrEnum):
-    """Widths of a figure."""
-
-    COLUMN = "column"
-    PAGE = "page"
+def into(metavar: str, words: str) -> Any:
+    """The option that says where something is written."""
+    return typer.Option("-o", "--output", parser=place, metavar=metavar, help=words)
 
 
-class IqmKindOption(StrEnum):
-    """Kinds of interquartile mean."""
-
-    RLIABLE = "rliable"
-    EXACT = "exact"
-
-
-NameArgument = Annotated[
-    str | None, typer.Argument(metavar="NAME", help="An experiment of the store; without it, all of them.")
-]
-OneNameArgument = Annotated[str, typer.Argument(metavar="NAME", help="An experiment of the store.")]
+OneNameArgument = Annotated[str, typer.Argument(metavar="NAME", parser=experiment, help="An experiment of the store.")]
 ProfileOption = Annotated[
     str | None, typer.Option("--profile", help="Only runs at this scale. Default: all, each in a table of its own.")
 ]
@@ -80,40 +61,34 @@ MixedOption = Annotated[
         help="Take runs together that differ in configuration version, precision, package or simulator, and say so.",
     ),
 ]
-PlusMinusOption = Annotated[
-    bool,
-    typer.Option("--plus-minus", help="The paper's form: one cell a value, ± half the width of its interval."),
-]
 ReplicatesOption = Annotated[
     int, typer.Option("--replicates", min=100, help="Resampled data sets behind each interval.")
 ]
-
-
-@report_app.callback()
-def report() -> None:
-    """Tables from the store, with intervals and what is missing."""
 
 
 def _table(entry: Entry) -> Callable[..., None]:
     """The command of one kind of table."""
 
     def command(
-        name: NameArgument = None,
+        name: Annotated[
+            str | None,
+            typer.Argument(
+                metavar="NAME", parser=experiment, help="An experiment of the store; without it, all of them."
+            ),
+        ] = None,
         results: ResultsOption = DEFAULT_RESULTS,
         form: Annotated[
             Format, typer.Option("--format", help="csv and json carry raw values: success as a fraction.")
         ] = Format.TERMINAL,
-        output: Annotated[
-            Path | None,
-            typer.Option(
-                "-o", "--output", parser=place, metavar="FILE", help="Write to a file instead of the terminal."
-            ),
-        ] = None,
+        output: Annotated[Path | None, into("FILE", "Write to a file instead of the terminal.")] = None,
         kind: IqmOption = IqmKindOption.RLIABLE,
         profile: ProfileOption = None,
         replicates: ReplicatesOption = 10_000,
         allow_mixed: MixedOption = False,
-        plus_minus: PlusMinusOption = False,
+        plus_minus: Annotated[
+            bool,
+            typer.Option("--plus-minus", help="The paper's form: one cell a value, ± half the width of its interval."),
+        ] = False,
     ) -> None:
         from rrmctl.reports.render import WIDE, print_terminal, to_text
         from rrmctl.reports.select import of_profile, read_sections
@@ -121,23 +96,19 @@ def _table(entry: Entry) -> Callable[..., None]:
 
         module = entry.load()
         settings = Statistics(kind=kind.value, replicates=replicates, plus_minus=plus_minus)
-        found = read_sections(results, _stem(name) or module.EXPERIMENT, allow_mixed=allow_mixed)
-        shown = module.make(of_profile(found, profile), settings)
+        sections = read_sections(results, name or module.EXPERIMENT, allow_mixed=allow_mixed)
+        reports = module.make(of_profile(sections, profile), settings)
         if output is not None:
-            _write(output, to_text(shown, form.value).encode())
+            _write(output, to_text(reports, form.value).encode())
         elif form is Format.TERMINAL:
-            print_terminal(shown, stdout_console(WIDE))
+            print_terminal(reports, stdout_console(WIDE))
         else:
-            typer.echo(spelled(to_text(shown, form.value)), nl=False)
+            typer.echo(spelled(to_text(reports, form.value)), nl=False)
 
-    return _without(command, {"plus_minus"} - set(entry.options))
-
-
-def _without(command: Callable[..., None], options: set[str]) -> Callable[..., None]:
-    """The command as typer sees it, less the options that this table has not."""
-    whole = inspect.signature(command, eval_str=True)
-    command.__signature__ = whole.replace(  # type: ignore[attr-defined]
-        parameters=[each for name, each in whole.parameters.items() if name not in options]
+    # Typer sees it without the options that this table has not.
+    signature, lacking = inspect.signature(command, eval_str=True), {"plus_minus"} - set(entry.options)
+    command.__signature__ = signature.replace(  # type: ignore[attr-defined]
+        parameters=[parameter for name, parameter in signature.parameters.items() if name not in lacking]
     )
     return command
 
@@ -146,19 +117,56 @@ for _entry in kinds().values():
     report_app.command(_entry.name, help=_entry.help)(_table(_entry))
 
 
+@report_app.command()
+def html(
+    names: Annotated[
+        list[str] | None,
+        typer.Argument(metavar="[NAME]...", parser=experiment, help="Experiments of the store. Default: all."),
+    ] = None,
+    output: Annotated[Path, into("FILE", "The page; its folder is made where it is missing.")] = Path("report.html"),
+    results: ResultsOption = DEFAULT_RESULTS,
+    kind: IqmOption = IqmKindOption.RLIABLE,
+    profile: ProfileOption = None,
+    replicates: ReplicatesOption = 10_000,
+    allow_mixed: MixedOption = False,
+) -> None:
+    """One page with everything: tables, figures, runs, failures, cost, settings, versions, commands.
+
+    The file needs no other and no network. Figures enlarge, tables sort, and
+    it prints. Runs under way and failed ones are on it, as such.
+    """
+    from rrmctl.reports.page.assembly import build
+    from rrmctl.reports.statistics import Statistics
+
+    settings = Statistics(kind=kind.value, replicates=replicates)
+    page = build(results, names or (), profile=profile, settings=settings, allow_mixed=allow_mixed).encode()
+    _write(output, page)
+    tell(f"{output}: {len(page) / 1e6:.1f} MB")
+
+
+@report_app.command()
+def explain(
+    table: Annotated[
+        str | None, typer.Argument(metavar="TABLE", help=f"One of {', '.join(kinds())}. Default: all.")
+    ] = None,
+) -> None:
+    """What the columns of tables mean and how their numbers are made; notes below a table say what is otherwise."""
+    from rich.text import Text
+
+    from rrmctl.reports.render import WIDE
+
+    if table is not None:
+        choose(kinds(), table, "table")
+    console = stdout_console(WIDE)
+    for title, sentences in explained(table).items():
+        console.print(Text(title, style="bold"))
+        console.print(*map(Text, sentences), "", sep="\n")
+
+
 def plot(
     name: OneNameArgument,
     results: ResultsOption = DEFAULT_RESULTS,
-    output: Annotated[
-        Path | None,
-        typer.Option(
-            "-o",
-            "--output",
-            parser=place,
-            metavar="DIR",
-            help="Folder for the figures. Default: figures/ in the results.",
-        ),
-    ] = None,
+    output: Annotated[Path | None, into("DIR", "Folder for the figures. Default: figures/ in the results.")] = None,
     wanted: Annotated[
         list[str] | None,
         typer.Option("--figure", metavar="FIGURE", help=f"Only this one, may be repeated: {', '.join(figures())}."),
@@ -177,31 +185,33 @@ def plot(
     allow_mixed: MixedOption = False,
 ) -> None:
     """Draw the figures that suit an experiment as PNG, PDF and SVG and print their paths."""
-    from rrmctl.reports.figure_files import encode
+    from rrmctl.reports.figure_layout import encode
     from rrmctl.reports.select import of_profile, read_sections
     from rrmctl.reports.statistics import Statistics
 
-    known = figures()
-    drawn = {figure: choose(known, figure, "figure").load() for figure in wanted or known}
+    entries = figures()
+    modules = {figure: choose(entries, figure, "figure").load() for figure in wanted or entries}
     settings = Statistics(kind=kind.value, replicates=replicates, width=width.value)
-    found = read_sections(results, _stem(name), allow_mixed=allow_mixed)
-    for section in _with_runs(of_profile(found, profile)):
+    sections = of_profile(read_sections(results, name, allow_mixed=allow_mixed), profile)
+    for section in (section for section in sections if not section.contained):
+        tell(f"note: {section.experiment}, profile {section.profile}: no run to draw yet", err=True)
+    for section in (section for section in sections if section.contained):
         where = f"{section.experiment}, profile {section.profile}"
-        for figure, module in drawn.items():
+        for figure, module in modules.items():
             if not module.suits(section):
                 if wanted:
                     tell(f"note: {where}: nothing to draw in the figure {figure}", err=True)
                 continue
             try:
-                made = module.draw(section, settings)
+                drawn = module.draw(section, settings)
             except UserError as error:
                 if wanted:
                     raise
                 tell(f"note: {where}: the figure {figure} was not drawn: {error}", err=True)
                 continue
-            for suffix in forms or Drawing:
-                path = (output or results / "figures") / f"{_figure_name(section, figure, width)}.{suffix}"
-                _write(path, encode(made, suffix.value))
+            for form in forms or Drawing:
+                path = (output or results / "figures") / f"{_figure_name(section, figure, width)}.{form}"
+                _write(path, encode(drawn, form.value))
                 tell(str(path))
 
 
@@ -210,26 +220,38 @@ plot.__doc__ = "\n\n".join(
 )
 
 
-def _with_runs(sections: Sequence[Section]) -> list[Section]:
-    """Those with something to draw; the others are named on standard error."""
-    for section in sections:
-        if not section.contained:
-            tell(f"note: {section.experiment}, profile {section.profile}: no run to draw yet", err=True)
-    return [section for section in sections if section.contained]
+#: Every format with the first line of its help; brackets are markup there.
+_FORMATS = " ".join(f"{name}: {entry.help.splitlines()[0]}" for name, entry in formats().items()).replace("[", r"\[")
+
+
+def export(
+    name: OneNameArgument,
+    to: Annotated[str, typer.Option("--to", metavar="FORMAT", help=_FORMATS)],
+    output: Annotated[Path, into("DIR", "Folder for the files; made where it is missing.")],
+    results: ResultsOption = DEFAULT_RESULTS,
+    profile: Annotated[str | None, typer.Option("--profile", help="Only runs at this scale. Default: all.")] = None,
+) -> None:
+    """Write every evaluation of an experiment, with all labels, for other programs.
+
+    Runs under way and failed ones are there as far as they came, marked with
+    their state. Exporting again replaces what was exported: nothing doubles.
+    """
+    from rrmctl.export.bundle import read
+
+    form = choose(formats(), to, "format")
+    bundle = read(results, name, profile)
+    if not bundle.begun:
+        tell(f"note: none of the {len(bundle.runs)} planned runs has an evaluation yet", err=True)
+    written = form.load().write(bundle, output)
+    tell(f"{output}: {len(bundle.begun)} of {len(bundle.runs)} planned runs, {len(written)} files")
 
 
 def _figure_name(section: Section, figure: str, width: Across) -> str:
     """Experiment, variant, figure and width; the paper's own scale, the curves and a page's width need no mention."""
     from rrmctl.planning.profiles import PAPER
 
-    variant = () if section.variant == PAPER else (section.variant,)
-    rest = (*(() if figure == "curves" else (figure,)), *(() if width is Across.PAGE else (width.value,)))
-    return "-".join((section.experiment, *variant, *rest))
-
-
-def _stem(name: str | None) -> str | None:
-    """Experiments are called like their manifest's file; the path of one is understood too."""
-    return Path(name).stem if name is not None and name.endswith(".toml") else name
+    parts = ((section.variant, PAPER), (figure, "curves"), (width.value, Across.PAGE))
+    return "-".join((section.experiment, *(part for part, unsaid in parts if part != unsaid)))
 
 
 def _write(path: Path, data: bytes) -> None:

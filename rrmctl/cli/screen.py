@@ -15,8 +15,7 @@ from typing import TextIO
 
 import typer
 
-from rrmctl.streams import Outlet, UndeliveredError
-from rrmctl.terminal import spelled
+from rrmctl.terminal import Outlet, UndeliveredError, spelled
 
 #: Pieces of text that wait to be written; further ones are dropped.
 _WAITING = 10_000
@@ -25,10 +24,8 @@ _LAST_S = 2.0
 
 
 class Screen(io.TextIOBase):
-    """A text stream whose writer neither waits nor fails: a thread passes on what it is given, as far as it can.
-
-    Args:
-        stream: one with a file descriptor; used for that and its encoding.
+    """A text stream whose writer neither waits nor fails: a thread passes on what it is given, as far as it can, to the
+    descriptor of `stream` in its encoding.
     """
 
     def __init__(self, stream: TextIO) -> None:

@@ -49,7 +49,7 @@ def show(
 def _known(layout: Layout, folder: RunFolder, lines: int) -> dict[str, Any]:
     """What there is to know, as JSON has it; what could not be read is null, and why stands in `damage`."""
     from rrmctl.store.provenance import read_provenance
-    from rrmctl.store.reader import log_tail, read_config, run_status
+    from rrmctl.store.reader import log_tail, read_config, read_curve, run_status
     from rrmctl.store.sweeps import readable_sweeps
 
     damage: dict[str, str] = {}
@@ -61,18 +61,16 @@ def _known(layout: Layout, folder: RunFolder, lines: int) -> dict[str, Any]:
             damage[name] = f"{error} ({error.hint})" if error.hint else str(error)
             return None
 
+    def last_rows() -> list[dict[str, Any]]:
+        table = read_curve(folder)
+        return [] if table is None else table.slice(max(0, table.num_rows - _LAST)).to_pylist()
+
     sweeps, unread = readable_sweeps(layout)
     note_damage(unread)
     uses = [
-        {
-            "experiment": sweep.experiment,
-            "variant": sweep.variant,
-            "superseded": gone,
-            **asdict(job),
-            "label": job.label,
-        }
+        {"experiment": sweep.experiment, "variant": sweep.variant, "superseded": old, **asdict(job), "label": job.label}
         for sweep in sweeps
-        for jobs, gone in ((sweep.everything, False), (sweep.superseded, True))
+        for jobs, old in ((sweep.everything, False), (sweep.superseded, True))
         for job in jobs
         if job.id == folder.id
     ]
@@ -83,49 +81,36 @@ def _known(layout: Layout, folder: RunFolder, lines: int) -> dict[str, Any]:
         "state": asdict(run_status(folder)),
         "config": read("config", lambda: read_config(folder)),
         "provenance": read("provenance", lambda: read_provenance(folder)),
-        "evaluations": read("evaluations", lambda: _last_rows(folder)),
+        "evaluations": read("evaluations", last_rows),
         "log": log_tail(folder, lines) if lines else [],
         "again": [rerun_command(layout, s, job) for s in sweeps for job in s.jobs if job.id == folder.id],
         "damage": damage,
     }
 
 
-def _last_rows(folder: RunFolder) -> list[dict[str, Any]]:
-    from rrmctl.store.reader import read_curve
-
-    table = read_curve(folder)
-    return [] if table is None else table.slice(max(0, table.num_rows - _LAST)).to_pylist()
-
-
 def _sections(known: Mapping[str, Any]) -> dict[str, str]:
     """The same for people, by title."""
-    now, damage = known["state"], known["damage"]
+    from rrmctl.store.status import RunError
+
+    now, damage, made_by = known["state"], known["damage"], known["provenance"]
     uses = (f"{use['experiment']}: {use['label']}{', superseded' * use['superseded']}" for use in known["uses"])
     state = f"{now['state']}, attempt {now['attempt']}, step {now['step']:,}"
     state += f" of {now['steps']:,}" if now["steps"] else ""
     return {
         f"run {known['run']}": "\n".join([known["path"], *uses]),
-        "state": f"{state}\n{_error(now['error'])}".strip(),
+        "state": f"{state}\n{RunError.from_json(now['error']) if now['error'] else ''}".strip(),
         "configuration": damage.get("config") or json.dumps(known["config"], indent=1),
-        "provenance": damage.get("provenance")
-        or (json.dumps(known["provenance"], indent=1) * bool(known["provenance"])),
+        "provenance": damage.get("provenance") or (json.dumps(made_by, indent=1) if made_by else ""),
         "last evaluations": damage.get("evaluations") or "\n".join(map(_row, known["evaluations"])),
         "end of the log": "\n".join(known["log"]),
         "again, from nothing": "\n".join(known["again"]),
     }
 
 
-def _error(error: Mapping[str, Any] | None) -> str:
-    from rrmctl.store.status import RunError
-
-    return "" if error is None else str(RunError.from_json(error))
-
-
 def _row(row: Mapping[str, Any]) -> str:
     from rrmctl.cli.live import score
 
     success = row["success"] if row["success"] == row["success"] else None  # NaN: the task has no success
-    told = f"step {row['step']:>9,}  {score(success, row['true_return'])}  return {row['true_return']:,.1f}"
-    told_too = (name for name in row if name not in IDENTITY | MEASURED and row[name] == row[name])  # NaN: nothing yet
-    figures = (f"{name} {row[name]:.3g}" for name in told_too)
-    return "  ".join((told, *figures))
+    measured = f"step {row['step']:>9,}  {score(success, row['true_return'])}  return {row['true_return']:,.1f}"
+    figures = (name for name in row if name not in IDENTITY | MEASURED and row[name] == row[name])  # NaN: nothing yet
+    return "  ".join((measured, *(f"{name} {row[name]:.3g}" for name in figures)))

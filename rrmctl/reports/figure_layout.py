@@ -1,27 +1,41 @@
-"""The outer form that all figures share: heading, a grid of panels, and below them the legend and the notes."""
+"""The sheet that all figures share: heading, panels, legend, notes; its look, its file, and how notebooks draw it."""
 
 from __future__ import annotations
 
+import contextlib
+import io
 import itertools
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+import re
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, NamedTuple
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
-from rrmctl.reports.figure_files import TEXT, WIDEST, look
-from rrmctl.reports.statistics import Width
-from rrmctl.reports.styles import LINE, Style
+import numpy as np
+
+from rrmctl.errors import UserError
+from rrmctl.reports.captions import short_absent_notes, title
+from rrmctl.reports.select import sections
+from rrmctl.reports.series import Section
+from rrmctl.reports.statistics import Statistics, Width
+from rrmctl.reports.styles import Style
+from rrmctl.stats import REPLICATES, IqmKind
 
 if TYPE_CHECKING:
+    import pandas as pd
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-#: In font sizes. Long handles, or the marker would hide the gap of a dashed line.
-_LEGEND: dict[str, Any] = {"borderaxespad": 0.2, "columnspacing": 1.4, "handlelength": 3.2}
+#: Points: those of captions, so that a figure is legible where it is put in at its own size; and those of notes.
+TEXT: dict[Width, tuple[float, float]] = {"column": (7.0, 5.5), "page": (8.0, 6.5)}
+#: Inches.
+WIDEST: dict[Width, float] = {"column": 3.3, "page": 7.0}
 #: Of the width that text may take: on a screen's pixels letters are somewhat wider than on paper.
 _FULL = 0.94
-_NOTE_SIZE: dict[Width, float] = {"column": 5.5, "page": 6.5}
+#: Inches, of a panel above another.
+_ABOVE = 1.4
 
 
 @dataclass(frozen=True)
@@ -29,112 +43,142 @@ class Slot:
     """One panel among equals."""
 
     title: str
-    unit: str  #: of the vertical axis
+    unit: str  #: of the vertical axis, the upper one's where there are two
     fill: Callable[[Axes], None]
     across: str = "Environment steps"  #: the horizontal axis
+    runs: Iterable[tuple[str, int]] = ()  #: method, and number of runs, of each of its lines
+    above: Callable[[Axes], None] | None = None  #: fills a small panel on top of it
 
 
-class Shape(NamedTuple):
-    """Panels of a figure."""
-
-    down: int
-    across: int
-    width: float  #: inches, of the whole figure
-    height: float  #: inches, of one panel
-
-
-def shape(panels: int, width: Width, most: int = 3) -> Shape:
-    """Panels in reading order: at most three (or `most`) side by side on a page, two in a column (up to three: one)."""
-    if width == "column":
-        across = 1 if panels <= 3 else 2
-        return Shape(math.ceil(panels / across), across, WIDEST[width], 2.0 if across == 1 else 1.55)
-    if panels == 1:
-        return Shape(1, 1, 4.6, 3.0)
-    across = min(panels, most)
-    each = min(WIDEST[width] / 3, WIDEST[width] / across)
-    return Shape(math.ceil(panels / across), across, each * across, 1.95)
-
-
-def cells_sheet(
-    heading: str,
-    cells: Sequence[Slot],
-    *,
-    size: Width,
-    handles: Mapping[str, Style],
-    notes: Iterable[str],
-    most: int = 3,
-) -> Figure:
-    """A figure of equal panels; axes are named where the neighbour's name does not hold."""
-    form = shape(len(cells), size, most)
-    with sheet(
-        heading, [form.height] * form.down, form.across, size=size, width=form.width, handles=handles, notes=notes
-    ) as (figure, grid):
-        for position, axes in enumerate(itertools.chain(*grid)):
-            axes.set_visible(position < len(cells))
-            if position >= len(cells):
-                continue
-            cell, below = cells[position], cells[position + form.across :][:1]
-            cell.fill(axes)
-            panel_title(axes, cell.title, form.width / form.across, size)
-            if not below or below[0].across != cell.across:
-                axes.set_xlabel(cell.across)
-            if position % form.across == 0 or cells[position - 1].unit != cell.unit:
-                axes.set_ylabel(cell.unit)
-    return figure
-
-
-@contextmanager
 def sheet(
-    heading: str,
-    heights: Sequence[float],
-    across: int,
+    section: Section,
+    settings: Statistics,
+    slots: Sequence[Slot],
     *,
-    size: Width,
-    width: float,
-    handles: Mapping[str, Style],
     notes: Iterable[str],
-) -> Iterator[tuple[Figure, list[list[Axes]]]]:
-    """An empty figure and its axes [len(heights)][across], to be filled inside the `with`.
+    lacking: str,
+    legend: Mapping[str, Style] | None = None,
+    most: int = 3,
+    height: float | None = None,
+) -> Figure:
+    """A figure of equal panels in reading order; axes are named where the neighbour's name does not hold.
 
     Args:
-        heading: above all panels.
-        heights: of each row of panels, inches.
-        across: panels in a row.
-        size: of the letters.
-        width: of the figure, inches.
-        handles: of the legend, by label.
-        notes: sentences for the foot.
+        notes: sentences for the foot; how many of the planned runs the section contains follows them.
+        lacking: what there is not ("no ...") where there are no panels.
+        legend: entries; default the methods.
+        most: panels side by side on a page; a column has one, or two of more than three.
+        height: of a panel, inches.
     """
+    if not slots:
+        raise nothing(section, lacking)
+    size, (letters, small) = settings.width, TEXT[settings.width]
+    if size == "column":
+        across = 1 if len(slots) <= 3 else 2
+        wide, usual = WIDEST[size] / across, 2.0 if across == 1 else 1.55
+    else:
+        across = min(len(slots), most)
+        wide, usual = (4.6, 3.0) if across == 1 else (WIDEST[size] / max(across, 3), 1.95)
+    rows = [slots[start : start + across] for start in range(0, len(slots), across)]
+    storeyed = [any(slot.above for slot in row) for row in rows]
+    heights = [tall for two in storeyed for tall in (*([_ABOVE] if two else []), height or usual)]
+    width, contents = wide * across, [f"{section.contained} of {section.planned} planned runs."]
+    contents += [*short_absent_notes(section), *section.problems]
+    legend = _methods(section, slots) if legend is None else legend
     with look(size):
+        from matplotlib import rcParams
         from matplotlib.figure import Figure
         from matplotlib.lines import Line2D
 
-        point = 1 / 72
-        letters = TEXT[size]
-        columns = _legend_columns(list(handles), width, letters)
-        head = wrapped(heading, letters + 1, width)
-        foot = wrapped(" ".join(notes), _NOTE_SIZE[size], width)
-        above = sum(heights) + len(head) * 1.3 * (letters + 1) * point
-        below = (
-            0.12
-            + 1.55 * letters * point * math.ceil(len(handles) / columns)
-            + 1.38 * _NOTE_SIZE[size] * point * len(foot)
-        )
+        beside = (rcParams["legend.handlelength"] + 0.8 + rcParams["legend.columnspacing"]) * letters / 72
+        lengths = [_length(label, letters) + beside for label in legend]
+        fit = (n for n in range(len(lengths), 1, -1) if sum(map(max, np.array_split(lengths, n))) <= width)
+        columns = next(fit, 1)  # matplotlib splits entries as numpy does
+        head, foot = wrapped(title(section), letters + 1, width), wrapped(" ".join([*notes, *contents]), small, width)
+        above = sum(heights) + len(head) * 1.3 * (letters + 1) / 72
+        below = 0.12 + (1.55 * letters * math.ceil(len(legend) / columns) + 1.38 * small * len(foot)) / 72
         figure = Figure(figsize=(width, above + below), layout="constrained")
         strips: Any = figure.subfigures(2, 1, height_ratios=(above, below))
         upper, lower = strips
         upper.suptitle("\n".join(head), fontsize=letters + 1)
-        grid = upper.subplots(len(heights), across, squeeze=False, gridspec_kw={"height_ratios": heights})
-        lines = [Line2D([], [], label=label, **LINE | each._asdict()) for label, each in handles.items()]
-        lower.legend(handles=lines, loc="upper center", ncols=columns, **_LEGEND)
-        lower.text(0.5, 0.03, "\n".join(foot), ha="center", va="bottom", fontsize=_NOTE_SIZE[size], color="#444444")
-        yield figure, grid.tolist()
+        lines = [Line2D([], [], label=label, **style._asdict()) for label, style in legend.items()]
+        lower.legend(handles=lines, loc="upper center", ncols=columns)
+        lower.text(0.5, 0.03, "\n".join(foot), ha="center", va="bottom", fontsize=small, color="#444444")
+        grid = iter(upper.subplots(len(heights), across, squeeze=False, gridspec_kw={"height_ratios": heights}))
+        for row, following, two in zip(rows, [*rows[1:], ()], storeyed, strict=True):
+            tops, lower_axes = next(grid) if two else (), next(grid)
+            for axes in (*tops, *lower_axes[len(row) :]):
+                axes.set_visible(False)
+            for place, slot in enumerate(row):
+                top = _fill(slot, lower_axes[place], tops[place] if slot.above else None, following[place : place + 1])
+                if place == 0 or row[place - 1].unit != slot.unit:
+                    top.set_ylabel(slot.unit)
+                named = (wrapped(line, letters + 0.5, wide - 0.3) for line in slot.title.splitlines())
+                top.set_title("\n".join(itertools.chain(*named)))
+    return figure
 
 
-def panel_title(axes: Axes, text: str, width: float, size: Width) -> None:
-    """A title whose lines are broken where they are wider than a panel that has `width` inches with all about it."""
-    lines = (part for line in text.splitlines() for part in wrapped(line, TEXT[size] + 0.5, width - 0.3))
-    axes.set_title("\n".join(lines))
+def _fill(slot: Slot, axes: Axes, top: Axes | None, under: Sequence[Slot]) -> Axes:
+    """Fill a panel, and the one on top of it, if any; the uppermost."""
+    slot.fill(axes)
+    if slot.above or not under or under[0].across != slot.across:
+        axes.set_xlabel(slot.across)
+    if slot.above is None or top is None:
+        return axes
+    top.set_visible(True)
+    slot.above(top)
+    return top
+
+
+def _methods(section: Section, slots: Iterable[Slot]) -> dict[str, Style]:
+    """The legend: methods with the number of runs behind their lines, the fewest and the most."""
+    counts: dict[str, list[int]] = {}
+    for method, runs in itertools.chain(*(slot.runs for slot in slots)):
+        counts.setdefault(method, []).append(runs)
+    ends = {method: dict.fromkeys((min(runs), max(runs))) for method, runs in counts.items()}
+    looks = section.looks()
+    return {f"{method} (n = {'–'.join(map(str, n))})": looks[method] for method, n in ends.items()}
+
+
+def nothing(section: Section, what: str) -> UserError:
+    """The refusal of a figure for which a section has `what` ("no ..."); to be raised."""
+    return UserError(
+        f"{section.experiment}, profile {section.profile}: {what} to draw",
+        f"`rrmctl run {section.experiment}` makes runs, `rrmctl plot {section.experiment}` draws what suits them",
+    )
+
+
+def from_frames(draw: Callable[[Section, Statistics], Figure]) -> Callable[..., Figure]:
+    """The notebook's side of a figure's `draw`."""
+
+    def drawn(
+        rows: pd.DataFrame,
+        jobs: pd.DataFrame | None = None,
+        *,
+        kind: IqmKind = "rliable",
+        width: Width = "page",
+        replicates: int = REPLICATES,
+    ) -> Figure:
+        return draw(one_section(rows, jobs), Statistics(kind=kind, width=width, replicates=replicates))
+
+    drawn.__doc__ = f"""{draw.__doc__}
+    Args:
+        rows: one variant of one experiment, as `rrmctl.store.load` returns it; several are refused.
+        jobs: as `rrmctl.store.planned`, to say which runs are missing.
+        kind: of interquartile mean.
+        width: of the figure: `column` (3.3 inches) or `page` (at most 7).
+        replicates: resampled data sets behind intervals, where it has any.
+    """
+    return drawn
+
+
+def one_section(rows: pd.DataFrame, jobs: pd.DataFrame | None) -> Section:
+    """The section of these frames; several are refused."""
+    read = sections(rows, jobs)
+    if len(read) != 1:
+        which = ", ".join(f"{section.experiment}/{section.variant}" for section in read) or "none"
+        raise UserError(f"a figure shows one variant of one experiment, not {which}", "filter the rows beforehand")
+    return read[0]
 
 
 def wrapped(text: str, letters: float, width: float) -> list[str]:
@@ -158,14 +202,27 @@ def _length(text: str, letters: float) -> float:
     return float(wide) / 72
 
 
-def _legend_columns(labels: Sequence[str], width: float, letters: float) -> int:
-    """As many columns as fit into `width` inches, at a legend of letters of this many points."""
-    lengths = [_length(label, letters) for label in labels]
-    handle, gap = ((_LEGEND["handlelength"] + 0.8) * letters / 72, _LEGEND["columnspacing"] * letters / 72)
-    for columns in range(len(labels), 1, -1):
-        rows, longer = divmod(len(labels), columns)  # matplotlib gives its first columns one more
-        starts = [column * rows + min(column, longer) for column in range(columns + 1)]
-        longest = [max(lengths[start:end]) for start, end in itertools.pairwise(starts)]
-        if sum(handle + length + gap for length in longest) <= width:
-            return columns
-    return 1
+def look(width: Width | None = None) -> AbstractContextManager[None]:
+    """Inside of it matplotlib has our settings, for a figure of this width, whatever the user's are."""
+    with contextlib.chdir(Path(__file__).parent):  # a matplotlibrc in the working directory need not even be one
+        from matplotlib.style import context
+
+    letters: Any = {"font.size": TEXT[width][0], "axes.titlesize": TEXT[width][0] + 0.5} if width else {}
+    return context(["default", Path(__file__).with_suffix(".mplstyle"), letters])
+
+
+def encode(figure: Figure, form: str, dpi: int = 200) -> bytes:
+    """The content of a file of this form: png, pdf or svg. Equal figures give equal bytes."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+
+    FigureCanvasAgg(figure)
+    buffer = io.BytesIO()
+    undated = {"pdf": {"CreationDate": None}, "svg": {"Date": None}}.get(form)
+    with look():
+        figure.savefig(buffer, format=form, dpi=dpi, metadata=undated)
+    if form != "svg":
+        return buffer.getvalue()
+    # Ids are counted as they appear: matplotlib digests positions, of which layout varies the last bits.
+    ids: dict[bytes, bytes] = {}
+    named = rb'(?<=["#])[hmp][0-9a-f]{10}(?=[")])'
+    return re.sub(named, lambda id_: ids.setdefault(id_[0], b"i%d" % len(ids)), buffer.getvalue())

@@ -1,22 +1,24 @@
-"""What the panels of several figures are drawn with: lines with bands, the axis of steps, names in the legend."""
+"""What several figures show and are drawn with: lines with bands, axes, names of panels, scores read at one step."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
+from rrm.envs.tasks import ScoreKind
 from rrmctl.labels import ORACLE
-from rrmctl.reports.captions import short_absent_notes
 from rrmctl.reports.figure_layout import Slot
+from rrmctl.reports.iqm_curves import ALL_TASKS, across_tasks
 from rrmctl.reports.series import Floats, Panel, Section, Series, Steps
-from rrmctl.reports.styles import LINE, Looks, Style
-from rrmctl.stats import iqm, quartiles
+from rrmctl.reports.styles import Looks, Style
+from rrmctl.stats import CommonStep, IqmKind, iqm, quartiles
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-
-    from rrmctl.stats import IqmKind
 
 UNITS = {"success": "Success rate (%)", "return": "Return (true reward)"}
 
@@ -29,48 +31,33 @@ def line(axes: Axes, steps: Steps | Floats, values: Floats, look: Style, positio
     # A line without markers has nothing to show at a single step.
     marker = look.marker or ("." if steps.size == 1 else "")
     arguments: dict[str, Any] = look._asdict() | {"marker": marker, "markevery": (position % every, every)}
-    axes.plot(steps, values, **LINE | arguments | other)
+    axes.plot(steps, values, **arguments | other)
 
 
-def band(axes: Axes, steps: Steps, values: Floats, look: Style) -> None:
-    """The quartiles of the seeds, values [S, T]; nothing for a single seed."""
+def curve(axes: Axes, steps: Steps, values: Floats, look: Style, kind: IqmKind, *, position: int, **other: Any) -> None:
+    """The interquartile mean of the seeds, values [S, T], and a band of their quartiles; none for a single seed."""
+    line(axes, steps, iqm(values, kind, axis=0), look, position, **other)
     if len(values) > 1:
-        low, high = quartiles(values, axis=0)
-        axes.fill_between(steps, low, high, color=look.color, alpha=0.14, linewidth=0)
+        axes.fill_between(steps, *quartiles(values, axis=0), color=look.color, alpha=0.14, linewidth=0)
 
 
-def curve(axes: Axes, series: Series, look: Style, kind: IqmKind, position: int) -> None:
-    """A series' interquartile mean and quartiles, success in percent."""
-    values = scaled(series)
-    on_top = 3 if series.label.method == ORACLE else 2  # dots on a line can be seen, a line on dots hides them
-    line(axes, series.steps, iqm(values, kind, axis=0), look, position, zorder=on_top)
-    band(axes, series.steps, values, look)
-
-
-def curves_cell(name: str, series: Sequence[Series], looks: Looks, kind: IqmKind) -> Slot:
+def curves_slot(name: str, shown: Sequence[Series], looks: Looks, kind: IqmKind) -> Slot:
     """A panel of learning curves of one score."""
 
     def fill(axes: Axes) -> None:
-        for position, each in enumerate(series):
-            curve(axes, each, looks[each.label.method], kind, position)
-        score_axis(axes, series[0].score)
-        step_axis(axes, max(int(each.steps[-1]) for each in series))
+        for position, series in enumerate(shown):
+            method = series.label.method
+            on_top = 3 if method == ORACLE else 2  # dots on a line can be seen, a line on dots hides them
+            curve(axes, series.steps, scaled(series), looks[method], kind, position=position, zorder=on_top)
+        score_axis(axes, shown[0].score)
+        step_axis(axes, max(int(series.steps[-1]) for series in shown))
 
-    return Slot(name, UNITS[series[0].score], fill)
+    return Slot(name, UNITS[shown[0].score], fill, runs=[(series.label.method, series.n) for series in shown])
 
 
 def scaled(series: Series) -> Floats:
     """The series' scores as axes show them, [S, T]: success in percent, returns as they are."""
     return 100 * series.values if series.score == "success" else series.values
-
-
-def methods(series: Iterable[Series], looks: Looks) -> dict[str, Style]:
-    """The legend: an entry for each method, with the number of seeds behind its lines."""
-    found: dict[str, set[int]] = {}
-    for each in series:
-        found.setdefault(each.label.method, set()).add(each.n)
-    ends = {method: dict.fromkeys((min(counts), max(counts))) for method, counts in found.items()}
-    return {f"{method} (n = {'–'.join(map(str, counts))})": looks[method] for method, counts in ends.items()}
 
 
 def step_axis(axes: Axes, last: int) -> None:
@@ -79,7 +66,7 @@ def step_axis(axes: Axes, last: int) -> None:
 
     axes.set_xlim(0, 1.03 * last)
     axes.xaxis.set_major_locator(MaxNLocator("auto", steps=[1, 2, 2.5, 5, 10], min_n_ticks=3))
-    axes.xaxis.set_major_formatter(FuncFormatter(lambda steps, _: told(steps)))
+    axes.xaxis.set_major_formatter(FuncFormatter(lambda steps, _: short_steps(steps)))
 
 
 def score_axis(axes: Axes, score: str) -> None:
@@ -89,7 +76,7 @@ def score_axis(axes: Axes, score: str) -> None:
         axes.set_yticks(range(0, 101, 20))
 
 
-def told(steps: float) -> str:
+def short_steps(steps: float) -> str:
     """A number of steps in short: 0, 500, 50k, 1.5M."""
     if abs(steps) >= 1e6:
         return f"{steps / 1e6:g}M"
@@ -98,11 +85,11 @@ def told(steps: float) -> str:
 
 def panel_name(panel: Panel, panels: Sequence[Panel]) -> str:
     """The task, and what else tells the panel from the others of its task."""
-    others = [each for each in panels if each.task == panel.task]
+    others = [other for other in panels if other.task == panel.task]
     parts = [panel.task]
-    if len({each.teacher for each in others}) > 1:
+    if len({other.teacher for other in others}) > 1:
         parts.append(f"teacher {panel.teacher}")
-    if len({each.feedback for each in others}) > 1:
+    if len({other.feedback for other in others}) > 1:
         parts.append(panel.feedback)
     return ", ".join(parts)
 
@@ -110,12 +97,49 @@ def panel_name(panel: Panel, panels: Sequence[Panel]) -> str:
 def iqm_notes(section: Section, kind: IqmKind) -> Iterator[str]:
     """What lines and bands are."""
     yield f"Line: interquartile mean over seeds ({kind})."
-    if any(each.n > 1 for each in section.series):
+    if any(series.n > 1 for series in section.series):
         yield "Band: 25 to 75 % of the seeds."
 
 
-def contents(section: Section) -> Iterator[str]:
-    """Notes of every figure: how many of the planned runs it contains, which are missing, what was left out."""
-    yield f"{section.contained} of {section.planned} planned runs."
-    yield from short_absent_notes(section)
-    yield from section.problems
+@dataclass(frozen=True, eq=False)
+class FinalScores:
+    """The scores of one panel at its step, or of several tasks at theirs."""
+
+    name: str
+    score: ScoreKind
+    strata: dict[str, list[Floats]]  #: method -> for each task one score a run, [S]; success in percent
+    panels: tuple[Panel, ...]  #: several where tasks are pooled
+    read: CommonStep | None  #: None where tasks are pooled
+
+    def runs(self, method: str) -> Floats:
+        """The scores of all runs of a method."""
+        return np.concatenate(self.strata[method])
+
+
+def readings(section: Section, rule: Callable[[Panel], CommonStep]) -> list[FinalScores]:
+    """One for each panel whose methods have a step in common, then those of pooled success tasks.
+
+    A method is pooled where it has runs on all of the tasks.
+    """
+    panels = [panel for panel in section.panels() if panel.comparable()]
+    single = {}
+    for panel in panels:
+        read = rule(panel)
+        strata = {
+            series.label.method: [scaled(series)[:, int(np.searchsorted(series.steps, read.step))]]
+            for series in panel.present()
+        }
+        single[panel] = FinalScores(panel_name(panel, panels), panel.score, strata, (panel,), read)
+    groups, pooled = across_tasks(panels), []
+    for group in groups:  # several of them are told apart by teacher and schedule
+        name = f"{ALL_TASKS}, {group[0].teacher}, {group[0].feedback}" if len(groups) > 1 else ALL_TASKS
+        tasks = [single[panel].strata for panel in group]
+        strata = {method: [task[method][0] for task in tasks] for method in tasks[0] if all(method in t for t in tasks)}
+        pooled.append(FinalScores(name, "success", strata, tuple(group), None))
+    return [*single.values(), *pooled]
+
+
+def last_step(panel: Panel) -> CommonStep:
+    """The last step that is common to the methods of a panel."""
+    steps = panel.steps()
+    return CommonStep(index=steps.size - 1, step=int(steps[-1]), reached=False, by=())

@@ -11,8 +11,11 @@ drawn with: those that its name suggests, or else the next that are free.
 
 from __future__ import annotations
 
+import itertools
+import tomllib
 import zlib
 from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
 Dashes = Literal["-", ":"] | tuple[float, tuple[float, ...]]
@@ -32,72 +35,40 @@ class Style(NamedTuple):
 Looks = Mapping[str, Style]
 Hue = tuple[str, Marker]
 
-#: What every line has, for matplotlib's `plot`.
-LINE: dict[str, Any] = {"linewidth": 1.3, "markersize": 3.8, "markeredgewidth": 0.8}
-
-#: Those of the main figure go from dark to light.
-_LEARNERS: dict[str, Hue] = {
-    "oracle": ("#000000", ""),
-    "pebble": ("#0072B2", "s"),
-    "surf": ("#56B4E9", "D"),
-    "mrn": ("#004D73", "v"),
-    "finetune": ("#7A4A2B", "H"),
-}
-_PRIORS: dict[str, Hue] = {
-    "proxy": ("#D55E00", "o"),
-    "language": ("#00664B", "^"),
-    "imitation": ("#D98CB8", "P"),
-    "o2g": ("#E69F00", "<"),
-    "h2o": ("#3DB7A8", ">"),
-    "sparse": ("#6A1FB0", "X"),
-    "zero": ("#999999", "d"),
-    "opposite": ("#332288", "*"),
-    "random": ("#C9B458", "h"),
-}
-_HUES = _LEARNERS | _PRIORS
-#: Of new names; where these do not suffice, those of known ones that are not there, the least common first.
-_NEW: tuple[Hue, ...] = (
-    ("#661100", "p"),
-    ("#C2185B", "x"),
-    ("#6699CC", (4, 1, 0)),
-    ("#117733", "+"),
-    ("#F0A58F", "1"),
-    ("#888833", "|"),
-)
-
-_SOLID: Dashes = "-"
-_DOTTED: Dashes = ":"
-_DASHED: Dashes = (0, (4, 2))
 #: The family of agents that are trained on a prior alone.
 ALONE = "sac"
-_LINES: dict[str, Dashes] = {
-    "": _SOLID,
-    "rrm": _SOLID,
-    ALONE: _DASHED,
-    "rrm-surf": (0, (6, 1.5, 1, 1.5)),
-    "rrm-mrn": (0, (6, 1.5, 1, 1.5, 1, 1.5)),
-}
-#: Of new names, in turn, where the family leaves the line solid.
-_NEW_LINES: tuple[Dashes, ...] = (_SOLID, (0, (5, 1)), (0, (3, 1, 1, 1)), (0, (9, 1.5, 2, 1.5)))
-#: Of methods with a suffix: share of white in the colour, marker (none: the base's), line.
-_VARIANTS: dict[str, tuple[float, Marker, Dashes]] = {
-    "bfloat16": (0.4, "", (0, (2, 1))),
-    "tanh": (0.2, "o", (0, (2, 1))),
-    "mse": (0.4, "^", (0, (7, 1.5))),
-    "mse-tanh": (0.55, "D", (0, (4, 1, 1, 1))),
-}
+#: The share of white in the colour of a method with a suffix that no table has.
 _WHITE = 0.4
+
+
+def _plain(value: Any) -> Any:
+    """A table's value with tuples for lists."""
+    if isinstance(value, dict):
+        return {key: _plain(inner) for key, inner in value.items()}
+    return tuple(map(_plain, value)) if isinstance(value, list) else value
+
+
+_TABLE: Mapping[str, Any] = _plain(tomllib.loads(Path(__file__).with_suffix(".toml").read_text()))
+_HUES: dict[str, Hue] = _TABLE["learners"] | _TABLE["priors"]
+_NEW: Sequence[Hue] = _TABLE["new"]
+_LINES: Mapping[str, Dashes] = _TABLE["lines"]
 
 
 def styles(methods: Iterable[str]) -> Looks:
     """The looks of methods that are drawn together; their order does not matter."""
     named = {method: _parts(method) for method in methods}
-    new = {each: (bool(each[0]), *each[1:]) for each in named.values() if not _is_known(*each)}
+    looks = {method: _known(*name) for method, name in named.items()}
+    # A new name takes the place that it suggests if that is free, or the next one; with every family the same.
+    places: dict[tuple[bool, str, str], int] = {}
+    for key in sorted({(bool(named[method][0]), *named[method][1:]) for method, look in looks.items() if not look}):
+        first = zlib.crc32("-".join(key[1:]).encode())
+        order = itertools.chain(((first + step) % len(_NEW) for step in range(len(_NEW))), itertools.count(len(_NEW)))
+        places[key] = next(place for place in order if place not in places.values())
     bases = {base for _, base, _ in named.values()}
     free = [*_NEW, *(hue for base, hue in reversed(_HUES.items()) if hue[1] and base not in bases)]
-    places = _places(sorted(set(new.values())))
     return {
-        method: _new(*each, places[new[each]], free) if each in new else _known(*each) for method, each in named.items()
+        method: look or _new(*named[method], places[bool(named[method][0]), *named[method][1:]], free)
+        for method, look in looks.items()
     }
 
 
@@ -123,41 +94,30 @@ def _parts(method: str) -> tuple[str, str, str]:
     return family, rest, ""
 
 
-def _is_known(family: str, base: str, suffix: str) -> bool:
-    """Whether the tables tell the look, and tell it from every other."""
-    if base not in (_PRIORS if family else _LEARNERS):
-        return False
-    ours = suffix == "bfloat16" or (base == "finetune" and suffix in _VARIANTS)
-    return not suffix or (ours and family in ("", "rrm"))
-
-
-def _known(family: str, base: str, suffix: str) -> Style:
-    colour, marker = _HUES[base]
-    if not suffix:
-        hollow = family == ALONE
-        return Style(colour, marker, _DOTTED if base == "oracle" else _LINES[family], "white" if hollow else colour)
-    white, own_marker, line = _VARIANTS[suffix]
-    # Dots remain the oracle's; a marker then tells its variants from itself.
-    return Style(_lighter(colour, white), own_marker or marker or "o", _DOTTED if base == "oracle" else line, "white")
-
-
-def _places(keys: Sequence[tuple[bool, str, str]]) -> dict[tuple[bool, str, str], int]:
-    """Of each new name one of `_NEW`, the one it suggests if that is free, or a higher number."""
-    found: dict[tuple[bool, str, str], int] = {}
-    for key in keys:
-        first = zlib.crc32("-".join(key[1:]).encode())
-        order = [*((first + step) % len(_NEW) for step in range(len(_NEW))), *range(len(_NEW), len(_NEW) + len(keys))]
-        found[key] = next(place for place in order if place not in found.values())
-    return found
+def _known(family: str, base: str, suffix: str) -> Style | None:
+    """The look that the tables tell, where they tell it from every other."""
+    if base not in _TABLE["priors" if family else "learners"]:
+        return None
+    (colour, marker), line = _HUES[base], _LINES[family]
+    if suffix:
+        tabled = suffix == "bfloat16" or (base == "finetune" and suffix in _TABLE["variants"])
+        if not tabled or family not in ("", "rrm"):
+            return None
+        white, own_marker, line = _TABLE["variants"][suffix]
+        # Dots remain the oracle's; a marker then tells its variants from itself.
+        colour, marker = _lighter(colour, white), own_marker or marker or "o"
+    hollow = bool(suffix) or family == ALONE
+    return Style(colour, marker, ":" if base == "oracle" else line, "white" if hollow else colour)
 
 
 def _new(family: str, base: str, suffix: str, place: int, free: Sequence[Hue]) -> Style:
     """Whoever comes after all are taken has a marker that is there already, hollow, and another line."""
     again, at = divmod(place, len(free))
     colour, marker = free[at]
-    line = _NEW_LINES[(at + again) % len(_NEW_LINES)] if family in ("", "rrm") else _LINES[family]
+    lines = _TABLE["new_lines"]
+    line = lines[(at + again) % len(lines)] if family in ("", "rrm") else _LINES[family]
     if suffix:
-        return Style(_lighter(_HUES[base][0], _WHITE), marker, _DOTTED if base == "oracle" else line, "white")
+        return Style(_lighter(_HUES[base][0], _WHITE), marker, ":" if base == "oracle" else line, "white")
     return Style(colour, marker, line, "white" if again or family == ALONE else colour)
 
 

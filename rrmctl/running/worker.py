@@ -34,7 +34,7 @@ from rrmctl.store.reader import read_config
 from rrmctl.store.schema import IDENTITY
 from rrmctl.store.status import ErrorKind, RunError, RunState, Status, read_status, write_status
 from rrmctl.store.writer import CurveWriter
-from rrmctl.streams import attend
+from rrmctl.terminal import attend
 
 if TYPE_CHECKING:
     from rrm.training.jobs import Monitor

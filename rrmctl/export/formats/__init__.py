@@ -4,7 +4,8 @@ A module has
 
 - a docstring, whose first line `rrmctl export --help` shows, and
 - `write(bundle, folder) -> list[Path]`, which writes the runs below a folder and says where. Writing the same again
-  leaves the same: nothing is there twice.
+  leaves the same: nothing is there twice. It raises a StorageError where the folder takes no write, a UserError where
+  a package is missing.
 """
 
 from rrmctl.reports.plugins import Entry, entries

@@ -12,17 +12,19 @@ import io
 import json
 import math
 import re
+import textwrap
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from rrmctl.export.bundle import Bundle
-from rrmctl.export.extras import require
+from rrmctl.export import require
 from rrmctl.store.files import write_bytes
 from rrmctl.store.inventory import Run, settings
 
 if TYPE_CHECKING:
     from tensorboard.compat.proto.event_pb2 import Event
+
+    from rrmctl.export.bundle import Bundle
 
 #: Always the same, so that a second export takes the place of the first.
 _FILE = "events.out.tfevents.rrmctl"
@@ -43,36 +45,25 @@ def tag(column: str) -> str:
 
 
 def write(bundle: Bundle, folder: Path) -> list[Path]:
-    """Write an event file for every run with an evaluation.
-
-    Raises:
-        UserError: the package tensorboard is missing.
-        StorageError: the folder takes no write.
-    """
+    """Write an event file for every run with an evaluation."""
     require("tensorboard")
     from tensorboard.summary.writer.record_writer import RecordWriter
 
-    written = []
-    for run in bundle.begun:
-        path = folder / run_folder(run) / _FILE
+    paths = [folder / run_folder(run) / _FILE for run in bundle.begun]
+    for run, path in zip(bundle.begun, paths, strict=True):
         buffer = io.BytesIO()
         records = RecordWriter(buffer)
         for event in _events(run):
             records.write(event.SerializeToString())
         write_bytes(path, buffer.getvalue())
-        written.append(path)
-    return written
+    return paths
 
 
 def run_folder(run: Run) -> Path:
     """Where a run's events are, below the folder of the export."""
     plan = run.plan
-    method = " ".join(run.row.words[1:])
-    return Path(*map(_as_name, (plan["variant"], plan["task"], method, f"seed-{plan['seed']}-{run.id[:8]}")))
-
-
-def _as_name(text: str) -> str:
-    return re.sub(r"^\.|[^\w.@+ -]", "-", text)
+    names = (plan["variant"], plan["task"], " ".join(run.row.words[1:]), f"seed-{plan['seed']}-{run.id[:8]}")
+    return Path(*(re.sub(r"^\.|[^\w.@+ -]", "-", name) for name in names))
 
 
 def _events(run: Run) -> Iterator[Event]:
@@ -85,9 +76,14 @@ def _events(run: Run) -> Iterator[Event]:
     yield Event(wall_time=start, file_version="brain.Event:2")
     about = {"plan": run.plan, "config": run.config, "provenance": run.provenance}
     for name, content in about.items():
-        yield Event(wall_time=start, step=0, summary=text_pb(name, _as_block(content)))
-    hyper = hparams_pb(_hyperparameters(run), run.id, start)
-    yield Event(wall_time=start, step=0, summary=hyper)
+        block = textwrap.indent(json.dumps(content, indent=2, default=str), "    ")  # which Markdown leaves as it is
+        yield Event(wall_time=start, step=0, summary=text_pb(name, block))
+    hyper = {
+        name: value if isinstance(value, str | bool | int | float) else str(value)
+        for name, value in settings(run.config or {}).items()
+        if value is not None
+    }
+    yield Event(wall_time=start, step=0, summary=hparams_pb(hyper, run.id, start))
     for row in run.curve.to_dict("records"):
         values = [
             Summary.Value(tag=tag(str(column)), simple_value=row[column])
@@ -95,14 +91,3 @@ def _events(run: Run) -> Iterator[Event]:
             if column != "step" and math.isfinite(row[column])
         ]
         yield Event(wall_time=start + row["wall_s"], step=row["step"], summary=Summary(value=values))
-
-
-def _as_block(content: Any) -> str:
-    """JSON as Markdown shows it word for word."""
-    return "\n".join(f"    {line}" for line in json.dumps(content, indent=2, default=str).splitlines())
-
-
-def _hyperparameters(run: Run) -> dict[str, str | bool | float]:
-    """Settings as the plugin takes them; what is not set is left out."""
-    plain = {name: value for name, value in settings(run.config or {}).items() if value is not None}
-    return {name: value if isinstance(value, str | bool | int | float) else str(value) for name, value in plain.items()}

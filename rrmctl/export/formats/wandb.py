@@ -19,37 +19,48 @@ import tempfile
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from rrm.environ import environment
 from rrmctl.errors import UserError
-from rrmctl.export.bundle import Bundle
-from rrmctl.export.extras import require
+from rrmctl.export import require
 from rrmctl.store.files import read_json, storage_error, write_json
+
+if TYPE_CHECKING:
+    from rrmctl.export.bundle import Bundle
 
 #: In each exported run's folder: marks it as ours, and says what it holds.
 _MARK = "rrmctl.json"
 
 
 def write(bundle: Bundle, folder: Path) -> list[Path]:
-    """Write an offline run for every run with an evaluation.
-
-    Raises:
-        UserError: the package wandb is missing, or failed.
-        StorageError: the folder takes no write.
-    """
+    """Write an offline run for every run with an evaluation."""
     require("wandb")
-    contents = list(_contents(bundle))
-    new = [content for content in contents if read_json(_target(folder, content) / _MARK) != _mark(content)]
+    targets, new = [], []
+    for content in _contents(bundle):
+        # W&B's own pattern, with the run's start for the time.
+        stamp = datetime.datetime.fromtimestamp(content["started"], datetime.UTC)
+        target = folder / "wandb" / f"offline-run-{stamp:%Y%m%d_%H%M%S}-{content['id']}"
+        mark = {"sha256": hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()}
+        targets.append(target / f"run-{content['id']}.wandb")
+        if read_json(target / _MARK) != mark:
+            new.append((content, target, mark))
     try:
         folder.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(dir=folder) as scratch:
-            _write_offline(new, Path(scratch))
-            for content in new:
-                _put(next(Path(scratch).glob(f"wandb/offline-run-*-{content['id']}")), folder, content)
+            _have_written([content for content, _, _ in new], Path(scratch))
+            for content, target, mark in new:
+                pattern = f"wandb/offline-run-*-{content['id']}"
+                for old in folder.glob(pattern):  # an earlier export's
+                    if (old / _MARK).exists():
+                        shutil.rmtree(old)
+                written = next(Path(scratch).glob(pattern))
+                write_json(written / _MARK, mark)
+                target.parent.mkdir(exist_ok=True)
+                written.rename(target)
     except OSError as error:
         raise storage_error(folder, error) from error
-    return [_target(folder, content) / f"run-{content['id']}.wandb" for content in contents]
+    return targets
 
 
 def _contents(bundle: Bundle) -> Iterator[dict[str, Any]]:
@@ -69,50 +80,24 @@ def _contents(bundle: Bundle) -> Iterator[dict[str, Any]]:
                 "tags": [plan["state"]],
                 "config": {**(run.config or {}), "plan": run.labels, "provenance": run.provenance},
             },
-            "rows": [_row(row, start) for row in run.curve.to_dict("records")],
+            "rows": [
+                {name: value for name, value in row.items() if math.isfinite(value)}
+                | {"_timestamp": start + row["wall_s"]}
+                for row in run.curve.to_dict("records")
+            ],
             "summary": {name: plan[name] for name in ("state", "error", "attempt", "steps")},
             "exit_code": int(plan["state"] == "failed"),
-        }  # fmt: skip
+        }
 
 
-def _row(row: Mapping[Any, Any], start: float) -> dict[str, Any]:
-    measured = {name: value for name, value in row.items() if math.isfinite(value)}
-    return measured | {"_timestamp": start + row["wall_s"]}
-
-
-def _mark(content: Mapping[str, Any]) -> dict[str, Any]:
-    return {"sha256": hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()}
-
-
-def _target(folder: Path, content: Mapping[str, Any]) -> Path:
-    """Where the run is kept: W&B's own pattern, with the run's start for the time."""
-    stamp = datetime.datetime.fromtimestamp(content["started"], datetime.UTC)
-    return folder / "wandb" / f"offline-run-{stamp:%Y%m%d_%H%M%S}-{content['id']}"
-
-
-def _put(made: Path, folder: Path, content: Mapping[str, Any]) -> None:
-    """Move an offline run to its place, and remove the one that an earlier export left."""
-    for old in folder.glob(f"wandb/offline-run-*-{content['id']}"):
-        if (old / _MARK).exists():
-            shutil.rmtree(old)
-    write_json(made / _MARK, _mark(content))
-    target = _target(folder, content)
-    target.parent.mkdir(exist_ok=True)
-    made.rename(target)
-
-
-def _write_offline(contents: Sequence[Mapping[str, Any]], folder: Path) -> None:
-    """Have W&B write the runs, in a process of its own: this one may be a notebook with a W&B run under way.
-
-    Raises:
-        UserError: it failed.
-    """
+def _have_written(contents: Sequence[Mapping[str, Any]], folder: Path) -> None:
+    """Have W&B write the runs, in a process of its own: this one may be a notebook with a W&B run under way."""
     if not contents:
         return
     own = {name: value for name, value in environment().items() if not name.startswith("WANDB_")}
     places = {f"WANDB_{name}_DIR": str(folder / name.lower()) for name in ("CACHE", "CONFIG", "DATA", "ARTIFACT")}
     ended = subprocess.run(
-        [sys.executable, "-P", "-m", "rrmctl.export.offline", str(folder)],
+        [sys.executable, "-P", "-m", __name__, str(folder)],
         input=json.dumps(contents),
         env=own | places | {"WANDB_MODE": "offline", "WANDB_ERROR_REPORTING": "false"},
         capture_output=True,
@@ -120,6 +105,27 @@ def _write_offline(contents: Sequence[Mapping[str, Any]], folder: Path) -> None:
         check=False,
     )
     if ended.returncode:
-        raise UserError(
-            f"wandb could not write the runs: {(ended.stderr.strip() or 'no reason given').splitlines()[-1]}"
-        )
+        reason = (ended.stderr.strip() or "no reason given").splitlines()[-1]
+        raise UserError(f"wandb could not write the runs: {reason}")
+
+
+def _write_offline(content: Mapping[str, Any], folder: str) -> None:
+    """In that process: write one of `_contents` to `folder/wandb/offline-run-*`."""
+    import wandb
+
+    settings = wandb.Settings(
+        mode="offline", root_dir=folder, silent=True, console="off", disable_git=True, disable_code=True,
+        disable_job_creation=True, x_disable_stats=True, x_disable_meta=True, x_disable_machine_info=True,
+        x_save_requirements=False,
+    )  # fmt: skip
+    with wandb.init(**content["init"], id=content["id"], settings=settings) as run:
+        run.define_metric("*", step_metric="step")
+        for row in content["rows"]:
+            run.log(row, step=row["step"])
+        run.summary.update(content["summary"])
+        run.finish(exit_code=content["exit_code"])
+
+
+if __name__ == "__main__":
+    for _content in json.load(sys.stdin):
+        _write_offline(_content, sys.argv[1])

@@ -4,7 +4,7 @@ A module has
 
 - a docstring, whose first line `rrmctl plot --help` shows,
 - `suits(section) -> bool`, whether the section has what the figure shows, and
-- `draw(section, settings) -> Figure`, a matplotlib figure with a canvas of its own.
+- `draw(section, settings) -> Figure`, a matplotlib figure, as `rrmctl.reports.figure_layout.sheet` makes it of panels.
 """
 
 from rrmctl.reports.plugins import Entry, entries

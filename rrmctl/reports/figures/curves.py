@@ -7,10 +7,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from rrmctl.reports.captions import title
-from rrmctl.reports.figure_layout import cells_sheet
-from rrmctl.reports.notebook import FromFrames, nothing
-from rrmctl.reports.plot_elements import contents, curves_cell, iqm_notes, methods, panel_name
+from rrmctl.reports.figure_layout import from_frames, sheet
+from rrmctl.reports.plot_elements import curves_slot, iqm_notes, panel_name
 from rrmctl.reports.series import Section
 from rrmctl.reports.statistics import DEFAULTS, Statistics
 
@@ -24,21 +22,10 @@ def suits(section: Section) -> bool:
 
 
 def draw(section: Section, settings: Statistics = DEFAULTS) -> Figure:
-    """One panel for each task (and teacher and schedule), a line for each method.
-
-    Raises:
-        UserError: it has no run to show.
-    """
+    """One panel for each task (and teacher and schedule), a line for each method."""
     panels, looks = section.panels(), section.looks()
-    if not panels:
-        raise nothing(section, "no run")
-    return cells_sheet(
-        title(section),
-        [curves_cell(panel_name(panel, panels), panel.present(), looks, settings.kind) for panel in panels],
-        size=settings.width,
-        handles=methods((each for panel in panels for each in panel.present()), looks),
-        notes=[*iqm_notes(section, settings.kind), *contents(section)],
-    )
+    slots = [curves_slot(panel_name(panel, panels), panel.present(), looks, settings.kind) for panel in panels]
+    return sheet(section, settings, slots, notes=iqm_notes(section, settings.kind), lacking="no run")
 
 
-learning_curves = FromFrames(draw)
+learning_curves = from_frames(draw)

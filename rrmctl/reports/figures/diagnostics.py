@@ -6,83 +6,70 @@ the agreement with the labels it was trained on and with the true reward on fres
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from rrmctl.labels import ORACLE
-from rrmctl.reports.captions import title
-from rrmctl.reports.figure_layout import Slot, cells_sheet
-from rrmctl.reports.notebook import FromFrames, nothing
-from rrmctl.reports.plot_elements import band, contents, iqm_notes, line, panel_name, score_axis, step_axis
-from rrmctl.reports.series import Panel, Section, Series, finite
+from rrmctl.reports.figure_layout import Slot, from_frames, sheet
+from rrmctl.reports.plot_elements import curve, iqm_notes, panel_name, score_axis, step_axis
+from rrmctl.reports.series import Section, Series, finite
 from rrmctl.reports.statistics import DEFAULTS, Statistics
-from rrmctl.reports.styles import ALONE, Style, parts, style
-from rrmctl.stats import iqm
+from rrmctl.reports.styles import ALONE, Looks, Style, parts, style
+from rrmctl.stats import IqmKind
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from rrmctl.stats import IqmKind
-
 _OPPOSITE = "opposite"
 #: Of the legend where panels are of several methods, each in its colour.
 _ANY = "#777777"
-_NAMES = {
-    "prior_mean": "prior",
-    "residual_mean": "residual",
-    "reward_mean": "prior + residual",
-    "true_reward_mean": "true reward",
-    "label_accuracy": "agreement with labels",
-    "true_accuracy": "agreement with true reward",
+#: For each panel its unit, and columns of the curve with their names.
+_PANELS = {
+    "Reward a step": {"prior_mean": "prior", "residual_mean": "residual", "reward_mean": "prior + residual"},
+    "True reward a step": {"true_reward_mean": "true reward"},
+    "Agreement (%)": {"label_accuracy": "agreement with labels", "true_accuracy": "agreement with true reward"},
 }
 
 
 def suits(section: Section) -> bool:
     """The residual model on the opposite prior has runs."""
-    return any(parts(each.label.method)[1] == _OPPOSITE for each in _residual(section))
+    return any(parts(series.label.method)[1] == _OPPOSITE for series in _residual(section))
 
 
 def draw(section: Section, settings: Statistics = DEFAULTS) -> Figure:
-    """Three panels for each task: rewards, true reward, agreement. Without an opposite prior: of every residual model.
-
-    Raises:
-        UserError: there is no residual model.
-    """
-    shown = _residual(section)
-    if not shown:
-        raise nothing(section, "no residual model")
-    shown = [each for each in shown if parts(each.label.method)[1] == _OPPOSITE] or shown
-    methods = list(dict.fromkeys(each.label.method for each in shown))
-    own, panels = section.looks(), section.panels()
-    looks = _looks(own[methods[0]].color if len(methods) == 1 else _ANY)
-    return cells_sheet(
-        title(section),
+    """Three panels a task: rewards, true reward, agreement; without an opposite prior for every residual model."""
+    models = _residual(section)
+    shown = [series for series in models if parts(series.label.method)[1] == _OPPOSITE] or models
+    colours = {series.label.method: section.looks()[series.label.method].color for series in shown}
+    looks, panels = _looks(colours.popitem()[1] if len(colours) == 1 else _ANY), section.panels()
+    return sheet(
+        section,
+        settings,
         [
-            cell
+            _slot(f"{panel_name(panel, panels)}\n{series.label.method}", unit, series, own, settings.kind)
             for panel in panels
-            for each in panel.present()
-            if each in shown
-            for cell in _cells(each, panel, panels, own[each.label.method].color, settings.kind)
+            for series in panel.present()
+            if series in shown
+            for own in [_looks(section.looks()[series.label.method].color)]
+            for unit in _PANELS
         ],
-        size=settings.width,
-        handles={_NAMES[column]: look for column, look in looks.items()},
+        legend={name: looks[column] for columns in _PANELS.values() for column, name in columns.items()},
         notes=[
             "Rewards: means over the transitions since the evaluation before.",
-            f"Seeds: {'; '.join(f'{each.label}: {each.n}' for each in shown)}.",
+            f"Seeds: {'; '.join(f'{series.label}: {series.n}' for series in shown)}.",
             *iqm_notes(section, settings.kind),
-            *contents(section),
         ],
+        lacking="no residual model",
     )
 
 
 def _residual(section: Section) -> list[Series]:
     """Series with a prior and something learned on it."""
-    return [each for each in section.series if each.n and parts(each.label.method)[0] not in ("", ALONE)]
+    return [series for series in section.series if series.n and parts(series.label.method)[0] not in ("", ALONE)]
 
 
-def _looks(colour: str) -> dict[str, Style]:
-    """Of each quantity: the prior alone, the whole reward and the true one as where methods are drawn."""
+def _looks(colour: str) -> Looks:
+    """Of each column: the prior alone, the whole reward and the true one as where methods are drawn."""
     truth = style(ORACLE)
     return {
         "prior_mean": Style(colour, "o", style(f"{ALONE}-{_OPPOSITE}").linestyle, "white"),
@@ -94,27 +81,17 @@ def _looks(colour: str) -> dict[str, Style]:
     }
 
 
-def _cells(series: Series, panel: Panel, panels: Sequence[Panel], colour: str, kind: IqmKind) -> list[Slot]:
-    looks, name = _looks(colour), f"{panel_name(panel, panels)}\n{series.label.method}"
+def _slot(name: str, unit: str, series: Series, looks: Looks, kind: IqmKind) -> Slot:
+    def fill(axes: Axes) -> None:
+        for position, column in enumerate(_PANELS[unit]):
+            steps, values = finite(*series.measure(column))
+            if steps.size:
+                curve(axes, steps, 100 * values if "%" in unit else values, looks[column], kind, position=position)
+        if "%" in unit:
+            score_axis(axes, "success")
+        step_axis(axes, int(series.steps[-1]))
 
-    def cell(unit: str, columns: Sequence[str], scale: float = 1) -> Slot:
-        def fill(axes: Axes) -> None:
-            for place, column in enumerate(columns):
-                steps, values = finite(*series.measure(column))
-                if steps.size:
-                    line(axes, steps, scale * iqm(values, kind, axis=0), looks[column], place)
-                    band(axes, steps, scale * values, looks[column])
-            if scale != 1:
-                score_axis(axes, "success")
-            step_axis(axes, int(series.steps[-1]))
-
-        return Slot(name, unit, fill)
-
-    return [
-        cell("Reward a step", ("prior_mean", "residual_mean", "reward_mean")),
-        cell("True reward a step", ("true_reward_mean",)),
-        cell("Agreement (%)", ("label_accuracy", "true_accuracy"), 100),
-    ]
+    return Slot(name, unit, fill)
 
 
-diagnostics = FromFrames(draw)
+diagnostics = from_frames(draw)

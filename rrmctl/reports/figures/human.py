@@ -5,35 +5,22 @@ People answer for few seeds, whose curves jump; the window is told below the fig
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from rrmctl.reports.captions import title
-from rrmctl.reports.figure_layout import Slot, cells_sheet
-from rrmctl.reports.notebook import FromFrames, nothing
-from rrmctl.reports.plot_elements import (
-    UNITS,
-    contents,
-    curve,
-    iqm_notes,
-    line,
-    methods,
-    panel_name,
-    scaled,
-    score_axis,
-    step_axis,
-)
-from rrmctl.reports.series import Panel, Section
-from rrmctl.reports.smoothing import smooth
+import numpy as np
+
+from rrmctl.reports.figure_layout import Slot, from_frames, sheet
+from rrmctl.reports.plot_elements import curves_slot, iqm_notes, line, panel_name, scaled
+from rrmctl.reports.series import Floats, Section, Series
 from rrmctl.reports.statistics import DEFAULTS, Statistics
 from rrmctl.reports.styles import Looks
-from rrmctl.stats import iqm
+from rrmctl.stats import IqmKind, iqm
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-
-    from rrmctl.stats import IqmKind
 
 #: Evaluations.
 WINDOW = 5
@@ -47,38 +34,44 @@ def suits(section: Section) -> bool:
 
 
 def draw(section: Section, settings: Statistics = DEFAULTS) -> Figure:
-    """Smoothed learning curves, a panel for each task that people taught (of every task, where they taught none).
-
-    Raises:
-        UserError: there are no runs.
-    """
+    """Smoothed learning curves, a panel for each task that people taught (of every task, where they taught none)."""
     panels, looks = section.panels(), section.looks()
     shown = [panel for panel in panels if panel.teacher == HUMAN] or panels
-    if not shown:
-        raise nothing(section, "no run")
-    return cells_sheet(
-        title(section),
-        [_cell(panel_name(panel, panels), panel, looks, settings.kind) for panel in shown],
-        size=settings.width,
-        handles=methods((each for panel in shown for each in panel.present()), looks),
+    return sheet(
+        section,
+        settings,
+        [_slot(panel_name(panel, panels), panel.present(), looks, settings.kind) for panel in shown],
         notes=[
             f"Each seed is smoothed: centred mean over {WINDOW} evaluations, fewer at the ends. Thin: not smoothed.",
             *iqm_notes(section, settings.kind),
-            *contents(section),
         ],
+        lacking="no run",
     )
 
 
-def _cell(name: str, panel: Panel, looks: Looks, kind: IqmKind) -> Slot:
+def _slot(name: str, shown: Sequence[Series], looks: Looks, kind: IqmKind) -> Slot:
+    smoothed = [replace(series, values=smooth(series.values, WINDOW)) for series in shown]
+    slot = curves_slot(name, smoothed, looks, kind)
+
     def fill(axes: Axes) -> None:
-        for position, each in enumerate(panel.present()):
-            look = looks[each.label.method]
-            line(axes, each.steps, iqm(scaled(each), kind, axis=0), look._replace(marker=""), linewidth=0.5, alpha=0.6)
-            curve(axes, replace(each, values=smooth(each.values, WINDOW)), look, kind, position)
-        score_axis(axes, panel.score)
-        step_axis(axes, max(int(each.steps[-1]) for each in panel.present()))
+        for series in shown:
+            look = looks[series.label.method]._replace(marker="")
+            line(axes, series.steps, iqm(scaled(series), kind, axis=0), look, linewidth=0.5, alpha=0.6)
+        slot.fill(axes)
 
-    return Slot(name, f"{UNITS[panel.score]}, smoothed", fill)
+    return replace(slot, unit=f"{slot.unit}, smoothed", fill=fill)
 
 
-smoothed_curves = FromFrames(draw)
+def smooth(values: Floats, window: int) -> Floats:
+    """Centred moving mean over an odd number of evaluations, along the last axis; the window shrinks evenly at both
+    ends, so that no curve is shifted.
+    """
+    if window < 1 or window % 2 == 0:
+        raise ValueError(f"a centred window is an odd number of evaluations, not {window}")
+    length = values.shape[-1]
+    reach = [min(window // 2, at, length - 1 - at) for at in range(length)]
+    means = [values[..., at - wide : at + wide + 1].mean(axis=-1) for at, wide in enumerate(reach)]
+    return np.stack(means, axis=-1)
+
+
+smoothed_curves = from_frames(draw)

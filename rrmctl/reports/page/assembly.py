@@ -17,10 +17,9 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 import rrm
 from rrmctl.errors import UserError
 from rrmctl.reports import names as asked
-from rrmctl.reports.page.chapter import Variant, chapter
+from rrmctl.reports.page.chapter import SEVERAL, Variant, chapter, gather, tables_at
 from rrmctl.reports.page.listings import TROUBLE, columns
 from rrmctl.reports.page.parts import Part, Table
-from rrmctl.reports.page.table_parts import SEVERAL, gather, tables_at
 from rrmctl.reports.run_facts import total
 from rrmctl.reports.select import read_sections
 from rrmctl.reports.series import Section

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, NamedTuple
 
 import pandas as pd
 
@@ -31,10 +31,6 @@ class Column(NamedTuple):
 class Table:
     """A table that sorts, and that scrolls within itself where the window is narrow; one without rows is left out."""
 
-    MOST: ClassVar = 2_000  #: rows that are shown; more of one table would make the page slow
-    PORTRAIT: ClassVar = 11  #: columns that fit onto a sheet of paper held upright; more are printed across
-    LONG: ClassVar = 40  #: letters beyond which a cell may be broken into lines
-
     caption: str
     columns: Sequence[Column]
     rows: Sequence[Row]  #: the first cell of one with a `link` leads to the part of that id
@@ -43,12 +39,6 @@ class Table:
 
     def __bool__(self) -> bool:
         return bool(self.rows)
-
-    @property
-    def title(self) -> str:
-        """The caption, and what to do where not everything is shown."""
-        cut = f": the first {self.MOST:,} of {len(self.rows):,} rows; `rrmctl export NAME --to csv -o DIR` writes all"
-        return self.caption + (cut if len(self.rows) > self.MOST else "")
 
 
 class Picture(NamedTuple):
@@ -80,11 +70,6 @@ class Part:
 
     def __bool__(self) -> bool:
         return any(any(getattr(self, field.name)) for field in fields(self)[3:])  # after those that show nothing
-
-    @property
-    def listed(self) -> list[Part]:
-        """What the list of contents names below it."""
-        return [part for part in self.parts if part and part.id and part.title]
 
 
 def identifier(*words: str) -> str:

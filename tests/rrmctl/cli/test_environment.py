@@ -11,7 +11,7 @@ import pytest
 
 from rrm.environ import environment
 from rrmctl import doctor
-from rrmctl.reports.figure_files import encode
+from rrmctl.reports.figure_layout import encode
 from rrmctl.reports.figures.box import box_plot
 from rrmctl.reports.figures.curves import learning_curves
 from rrmctl.running.process import worker_environment

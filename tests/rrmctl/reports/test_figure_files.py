@@ -8,14 +8,14 @@ from fontTools.ttLib import TTFont
 from matplotlib.figure import Figure
 
 from rrmctl.cli.report import Across, Drawing
-from rrmctl.reports.figure_files import FORMS, WIDEST, encode
+from rrmctl.reports.figure_layout import WIDEST, encode
 from rrmctl.reports.figures.box import box_plot
 from rrmctl.reports.figures.curves import learning_curves
 from tests.rrmctl.reports import scenes
 from tests.rrmctl.reports.frames import Sweep
 
 
-@pytest.mark.parametrize("form", FORMS)
+@pytest.mark.parametrize("form", [form.value for form in Drawing])
 def test_equal_figures_give_equal_bytes(form):
     """No date or random name enters the file; drawing leaves matplotlib's global settings alone."""
     before = dict(mpl.rcParams)
@@ -45,9 +45,8 @@ def test_the_svg_needs_no_font():
     assert "DejaVuSans-" in text
 
 
-def test_the_command_line_knows_forms_and_widths():
-    """`--format` and `--width` offer what there is."""
-    assert tuple(Drawing) == FORMS
+def test_the_command_line_knows_widths():
+    """`--width` offers what there is."""
     assert set(Across) == set(WIDEST)
 
 

@@ -5,7 +5,7 @@ import pytest
 from scipy.stats import trim_mean
 
 from rrmctl.errors import UserError
-from rrmctl.reports.figure_files import encode
+from rrmctl.reports.figure_layout import encode
 from rrmctl.reports.figures.curves import learning_curves
 from rrmctl.reports.styles import style
 from tests.rrmctl.reports.frames import RISING, Sweep

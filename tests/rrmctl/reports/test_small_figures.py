@@ -10,11 +10,10 @@ from rrmctl.reports.figures import gradient_norm
 from rrmctl.reports.figures.ablation import ablation
 from rrmctl.reports.figures.diagnostics import diagnostics
 from rrmctl.reports.figures.gradient_norm import gradient_norms
-from rrmctl.reports.figures.human import smoothed_curves
+from rrmctl.reports.figures.human import smooth, smoothed_curves
 from rrmctl.reports.figures.less_feedback import less_feedback
 from rrmctl.reports.figures.profile import profile
 from rrmctl.reports.select import read_sections, sections
-from rrmctl.reports.smoothing import smooth
 from rrmctl.reports.statistics import Statistics
 from rrmctl.reports.styles import style
 from rrmctl.reports.tables import less_feedback as less_feedback_table

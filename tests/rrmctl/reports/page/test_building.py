@@ -18,10 +18,9 @@ from rrmctl.errors import UserError
 from rrmctl.reports import run_facts
 from rrmctl.reports.figures import figures
 from rrmctl.reports.page.assembly import build, render
-from rrmctl.reports.page.chapter import MOST_BYTES, picture
+from rrmctl.reports.page.chapter import MOST_BYTES, SEVERAL, gather, picture
 from rrmctl.reports.page.listings import clock
 from rrmctl.reports.page.parts import Column, Part, Picture, Table, identifier
-from rrmctl.reports.page.table_parts import SEVERAL, gather
 from rrmctl.reports.report import Grid, Report
 from rrmctl.reports.select import read_sections
 from rrmctl.reports.statistics import Statistics
@@ -214,10 +213,10 @@ def test_a_figure_is_never_large():
 
 def test_a_long_table_is_cut_and_says_so():
     """Beyond a number of rows the caption tells how many there are."""
-    table = Table("Numbers", [Column("A", "a", number=True)], [{"a": at} for at in range(Table.MOST + 7)])
+    table = Table("Numbers", [Column("A", "a", number=True)], [{"a": at} for at in range(2007)])
     made = render(Part(tables=[table]), "")
-    assert made.count("<tr>") == Table.MOST + 1
-    assert f"the first {Table.MOST:,} of {Table.MOST + 7:,} rows" in made
+    assert made.count("<tr>") == 2001
+    assert "the first 2,000 of 2,007 rows" in made
 
 
 def test_a_cell_is_what_it_says():
@@ -318,7 +317,7 @@ def test_tables_stand_where_they_belong(tmp_path, monkeypatch):
         "choosy": Kind(refuse),
         "none": Kind(nothing),
     }
-    monkeypatch.setattr("rrmctl.reports.page.table_parts.kinds", lambda: known)
+    monkeypatch.setattr("rrmctl.reports.page.chapter.kinds", lambda: known)
     found = gather(read_sections(tmp_path), QUICK)
     kinds_at = {place: [kind for kind, _ in made] for place, made in found.made.items()}
     first, second = ("main-results", "laptop"), ("toy-car", "t")
