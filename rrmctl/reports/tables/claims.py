@@ -12,7 +12,7 @@ from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
 from rrmctl.reports.captions import contents_notes, merged_facts, statistics_notes, title
-from rrmctl.reports.prose import CLAIMS
+from rrmctl.reports.claims import CLAIMS
 from rrmctl.reports.report import INTERVAL, Grid, Report, interval, number, some
 from rrmctl.reports.series import Section
 from rrmctl.reports.statistics import DEFAULTS, LEVEL, Statistics

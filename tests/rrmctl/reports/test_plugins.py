@@ -71,7 +71,7 @@ def copied(tmp_path):
 def test_a_file_is_a_command(copied, tmp_path):
     """A module put beside the others is listed with its first line, and makes its table in every form."""
     package, run = copied
-    (package / "reports" / "kinds" / "how_many.py").write_text(NEW_KIND.format(options=""))
+    (package / "reports" / "tables" / "how_many.py").write_text(NEW_KIND.format(options=""))
     Sweep().write(tmp_path / "results")
     assert "how-many" in run("report", "--help").stdout
     assert "Counts runs." in run("report", "how-many", "--help").stdout
@@ -88,7 +88,7 @@ def test_options_of_its_own_are_options_of_that_table_alone(copied, tmp_path):
     """`OPTIONS` gives a table --plus-minus; one that does not name it has no such option."""
     package, run = copied
     for name, options in (("with_it", 'OPTIONS = ("plus_minus",)'), ("without", "")):
-        (package / "reports" / "kinds" / f"{name}.py").write_text(NEW_KIND.format(options=options))
+        (package / "reports" / "tables" / f"{name}.py").write_text(NEW_KIND.format(options=options))
     Sweep().write(tmp_path / "results")
     asked = ("--results", str(tmp_path / "results"), "--plus-minus", "--format", "markdown")
     assert "| sign | True |" in run("report", "with-it", *asked).stdout
@@ -100,7 +100,7 @@ def test_options_of_its_own_are_options_of_that_table_alone(copied, tmp_path):
 def test_a_name_with_an_underscore_in_front_is_no_command(copied):
     """Helpers may lie beside the tables."""
     package, run = copied
-    (package / "reports" / "kinds" / "_helper.py").write_text('"""Nothing."""')
+    (package / "reports" / "tables" / "_helper.py").write_text('"""Nothing."""')
     assert "helper" not in run("report", "--help").stdout
 
 
