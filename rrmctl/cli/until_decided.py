@@ -157,7 +157,7 @@ def _name(pair: Pairing) -> str:
 
 
 def _said(contest: Contest, group: int) -> str:
-    from rrmctl.reports.report import number
+    from rrmctl.reports.columns import number
 
     verdict = contest.verdict
     apart = f"mean score over training differs by {number(verdict.difference, contest.score)}"

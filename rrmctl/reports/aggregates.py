@@ -19,24 +19,11 @@ from rrmctl.errors import UserError
 from rrmctl.reports.iqm_curves import CURVE_COLUMNS, curve_table
 from rrmctl.reports.statistics import DEFAULTS, Statistics
 from rrmctl.store.files import remove_leftovers, write_table
+from rrmctl.store.frame import TEXT
 
 if TYPE_CHECKING:
-    import pyarrow as pa
-
     from rrmctl.reports.series import Section
     from rrmctl.store.layout import Layout
-
-_WHOLE = ("step", "n", "schema_version")
-_NUMBERS = ("iqm", "q25", "q75", "low", "high")
-
-
-def schema() -> pa.Schema:
-    """The columns of the file and their types."""
-    import pyarrow as pa
-
-    kinds = dict.fromkeys(CURVE_COLUMNS, "string") | dict.fromkeys(_WHOLE, "int64") | dict.fromkeys(_NUMBERS, "float64")
-    fields = [pa.field(name, kind, nullable=False) for name, kind in kinds.items()]
-    return pa.schema(fields)
 
 
 def write(layout: Layout, sections: Sequence[Section], settings: Statistics = DEFAULTS) -> None:
@@ -52,17 +39,15 @@ def write(layout: Layout, sections: Sequence[Section], settings: Statistics = DE
     mixed = {section.experiment for section in sections if section.mixed or section.refusal}
     tables = [curve_table(section, settings) for section in sections if section.experiment not in mixed]
     curves = pd.concat(tables, ignore_index=True).groupby("experiment", sort=False) if tables else ()
+    kinds = {name: "string" if kind == TEXT else kind for name, kind in CURVE_COLUMNS.items()}
+    schema = pa.schema([pa.field(name, kind, nullable=False) for name, kind in kinds.items()])
     for experiment, rows in curves:
         # from_pandas=False: a NaN stays a number and does not become a null.
-        columns = [pa.array(rows[name].to_numpy(), kind, from_pandas=False) for name, kind in _kinds()]
+        columns = [pa.array(rows[field.name].to_numpy(), field.type, from_pandas=False) for field in schema]
         path = layout.aggregate(str(experiment))
         remove_leftovers(path.parent)
-        write_table(path, pa.Table.from_arrays(columns, schema=schema()))
+        write_table(path, pa.Table.from_arrays(columns, schema=schema))
     if mixed:
         why = "; ".join(str(section.refusal) for section in sections if section.refusal)
-        told = f"{', '.join(sorted(mixed))}: runs that are mixed are not kept as one curve"
-        raise UserError(f"{told}: {why}" if why else told)
-
-
-def _kinds() -> list[tuple[str, pa.DataType]]:
-    return [(field.name, field.type) for field in schema()]
+        what = f"{', '.join(sorted(mixed))}: runs that are mixed are not kept as one curve"
+        raise UserError(f"{what}: {why}" if why else what)

@@ -41,6 +41,11 @@ class Score:
         """With its percentile interval."""
         return estimate(self.point, self.draws, n=self.n, level=level)
 
+    def row(self, name: str = "iqm") -> dict[str, float]:
+        """The number by this name and its interval, as a row of a table has them."""
+        found = self.estimate()
+        return {name: self.point, "low": float(found.low), "high": float(found.high)}
+
 
 def score(
     tasks: Sequence[Floats],

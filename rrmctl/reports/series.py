@@ -92,6 +92,13 @@ class Panel:
             raise UserError(f"{self.task}: no evaluation step is common to all methods: {seen}")
         return common
 
+    def row(self, series: Series) -> dict[str, Any]:
+        """What a row of a table says of one of its series, whatever was measured."""
+        return {
+            "task": self.task, "teacher": self.teacher, "feedback": self.feedback, "method": series.label.method,
+            "score": self.score, "n": series.n, "planned": series.planned,
+        }  # fmt: skip
+
     def comparable(self) -> bool:
         """Whether some evaluation step is common to its methods."""
         try:

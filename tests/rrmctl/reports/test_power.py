@@ -48,7 +48,7 @@ def test_it_is_a_command():
 def test_every_pair_is_a_row_with_its_difference():
     """Interquartile means of the runs' areas, and how often a run of one beats one of the other."""
     found = report(section())
-    assert list(found.table.columns) == list(COLUMNS)
+    assert list(found.table.columns) == [column.name for column in COLUMNS]
     assert list(zip(found.table["method"], found.table["against"], strict=True)) == [
         ("pebble", "oracle"), ("rrm-proxy", "oracle"), ("rrm-proxy", "pebble")
     ]  # fmt: skip
