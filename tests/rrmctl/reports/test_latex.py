@@ -11,8 +11,8 @@ from rrmctl.reports.render import LATEX_PACKAGES, to_text
 from rrmctl.reports.statistics import Statistics
 from rrmctl.reports.tables import claims, final, iqm, less_feedback, noisy_teacher, sim_to_real
 from tests.rrmctl.reports.frames import Sweep
-from tests.rrmctl.reports.test_tables import deployed, little, noisy
 from tests.rrmctl.reports.test_render import RAGGED, SMOKE, made
+from tests.rrmctl.reports.test_tables import deployed, little, noisy
 
 QUICK = Statistics(replicates=100)
 PAPERS = Statistics(replicates=100, plus_minus=True)
