@@ -78,13 +78,16 @@ def until_decided(layout: Layout, plan: Plan, rules: Rules, execute: Execute) ->
     Raises:
         UserError: nothing to compare, or a test with other rules was begun on these runs.
     """
+    from rrmctl.reports.pairwise import against
+    from rrmctl.stats import Design
     from rrmctl.store.reader import statuses
-    from rrmctl.store.trials import begin_trial
+    from rrmctl.store.trials import Trial, begin_trial
 
-    trial = _trial(plan, rules)
+    pairs = tuple(against((job.row for job in plan.jobs), rules.against))
+    trial = Trial(group=rules.group, looks=rules.most // rules.group, alpha=Design().alpha, pairs=pairs)
     begin_trial(layout, plan.experiment, plan.variant, trial)
     seeds = sorted({job.seed for job in plan.jobs})
-    left, sweep = list(trial.pairs), None
+    left, sweep = list(pairs), None
     for look in range(1, trial.looks + 1):
         here = seeds[: look * trial.group]
         code, part = execute(_part(plan, here, left))
@@ -94,21 +97,14 @@ def until_decided(layout: Layout, plan: Plan, rules: Rules, execute: Execute) ->
             tell("Nothing more is decided before these runs are done; the same command goes on.")
             break
         found = _look(layout, plan, trial, here)
-        _tell(found, look, len(here))
-        left = [each.pair for each in found.open]
+        tell(f"Look {look} of {trial.looks}, after {len(here)} seeds:")
+        for contest in found.contests:
+            tell(f"  {_name(contest.pair)}: {_said(contest, trial.group)}")
+        left = [contest.pair for contest in found.open]
         if not left:
             break
     assert sweep is not None  # there is at least one look
     return code, sweep
-
-
-def _trial(plan: Plan, rules: Rules) -> Trial:
-    from rrmctl.reports.pairwise import against
-    from rrmctl.stats import Design
-    from rrmctl.store.trials import Trial
-
-    pairs = tuple(against((job.row for job in plan.jobs), rules.against))
-    return Trial(group=rules.group, looks=rules.most // rules.group, alpha=Design().alpha, pairs=pairs)
 
 
 def _part(plan: Plan, seeds: Iterable[int], pairs: Iterable[Pairing]) -> Plan:
@@ -135,20 +131,13 @@ def _look(layout: Layout, plan: Plan, trial: Trial, seeds: list[int]) -> Contest
     sections = read_sections(layout.root, plan.experiment)
     (section,) = (each for each in sections if each.variant == plan.variant)
     found = decide(section.accepted(), trial, seeds=seeds)
-    for each in found.open:
-        if each.verdict.looks * trial.group < len(seeds):
+    for contest in found.open:
+        if contest.verdict.looks * trial.group < len(seeds):
             raise UserError(
-                f"{_name(each.pair)}: a run is done, but cannot be scored",
+                f"{_name(contest.pair)}: a run is done, but cannot be scored",
                 f"`{rrmctl('report', 'power', plan.experiment, results=layout.root)}` says which and why",
             )
     return found
-
-
-def _tell(found: Contests, look: int, seeds: int) -> None:
-    """What is decided so far, a line a comparison."""
-    tell(f"Look {look} of {found.design.looks}, after {seeds} seeds:")
-    for each in found.contests:
-        tell(f"  {_name(each.pair)}: {_said(each, found.design.group)}")
 
 
 def _name(pair: Pairing) -> str:
@@ -159,13 +148,12 @@ def _name(pair: Pairing) -> str:
 def _said(contest: Contest, group: int) -> str:
     from rrmctl.reports.columns import number
 
-    verdict = contest.verdict
-    apart = f"mean score over training differs by {number(verdict.difference, contest.score)}"
-    match verdict.decision:
-        case "larger" | "smaller":
-            word = "better" if verdict.decision == "larger" else "worse"
-            return f"{word}, decided by the first {verdict.looks * group} seeds; {apart}"
-        case "equal":
-            return f"not separated by {verdict.looks * group} seeds; {apart}"
-        case _:
-            return f"open; {apart}"
+    verdict, seeds = contest.verdict, contest.verdict.looks * group
+    words = {
+        "larger": f"better, decided by the first {seeds} seeds",
+        "smaller": f"worse, decided by the first {seeds} seeds",
+        "equal": f"not separated by {seeds} seeds",
+        "open": "open",
+    }
+    apart = number(verdict.difference, contest.score)
+    return f"{words[verdict.decision]}; mean score over training differs by {apart}"

@@ -12,7 +12,8 @@ from typing import Any, Literal, NamedTuple, get_args
 import numpy as np
 
 from rrm.envs.tasks import ScoreKind
-from rrmctl.reports.series import Floats, Series, Steps
+from rrmctl.reports.series import Series
+from rrmctl.stats import Floats, Steps
 
 PATH = Path(__file__).with_suffix(".toml")
 

@@ -10,8 +10,8 @@ import numpy as np
 from rrm.envs.tasks import ScoreKind
 from rrmctl.reports.iqm_curves import ALL_TASKS, across_tasks
 from rrmctl.reports.plot_elements import panel_name, scaled
-from rrmctl.reports.series import Floats, Panel, Section
-from rrmctl.stats import CommonStep
+from rrmctl.reports.series import Panel, Section
+from rrmctl.stats import CommonStep, Floats
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,9 +17,9 @@ import numpy as np
 from rrmctl.reports.columns import ENDS, METHOD, PLACE, QUARTILES, RUNS, SCORE, scored
 from rrmctl.reports.report import NOTHING, Column, Row
 from rrmctl.reports.scores import at, score
-from rrmctl.reports.series import Floats, Panel, Section, Series
+from rrmctl.reports.series import Panel, Section, Series
 from rrmctl.reports.statistics import BOOTSTRAP_SEED, DEFAULTS, LEVEL, Statistics
-from rrmctl.stats import Estimate, Iqm, area_under_curve, estimate, interval_possible, iqm, quartiles, resample
+from rrmctl.stats import Estimate, Floats, Iqm, area_under_curve, estimate, interval_possible, iqm, quartiles, resample
 from rrmctl.store.frame import MAYBE_WHOLE, NUMBER, TEXT, WHOLE, frame
 
 if TYPE_CHECKING:

@@ -16,12 +16,9 @@ import numpy as np
 from rrm.envs.tasks import ScoreKind
 from rrmctl.errors import UserError
 from rrmctl.labels import NOTHING_ASKED, Label, panels
-from rrmctl.reports.series import SCORE_COLUMN, Floats, Section, Series
-from rrmctl.stats import Comparison, Design, Standing, area_under_curve, sequential_test
+from rrmctl.reports.series import SCORE_COLUMN, Section, Series
+from rrmctl.stats import Comparison, Design, Floats, Standing, area_under_curve, sequential_test
 from rrmctl.store.trials import Pairing, Trial
-
-#: The number of each run, by seed.
-Scores = dict[int, float]
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,13 +43,13 @@ class Contests:
     @property
     def remaining(self) -> Design:
         """The design of a comparison that is not separated, with the share of the level that is left for it."""
-        left = sum(not each.verdict.separated for each in self.contests)
+        left = sum(not contest.verdict.separated for contest in self.contests)
         return replace(self.design, alpha=self.design.alpha / max(1, left))
 
     @property
     def open(self) -> list[Contest]:
         """Those that more seeds decide."""
-        return [each for each in self.contests if each.verdict.decision == "open"]
+        return [contest for contest in self.contests if contest.verdict.decision == "open"]
 
 
 def every_pair(labels: Iterable[Label]) -> list[Pairing]:
@@ -69,7 +66,7 @@ def against(labels: Iterable[Label], method: str | None) -> list[Pairing]:
     """
     found = []
     for panel in panels(labels).values():
-        known = {each.method: each for each in panel}
+        known = {label.method: label for label in panel}
         one = method or panel[0].method
         if one not in known or len(known) < 2:
             what = f"there is no {one}" if one not in known else f"{one} is the only method"
@@ -87,26 +84,27 @@ def decide(section: Section, trial: Trial | None, *, seeds: Collection[int] | No
             planned, but no fewer than four.
         seeds: look at these alone; None looks at all.
     """
-    pairs = every_pair(series.label for series in section.series) if trial is None else trial.pairs
     if trial is None:
-        usual = Design()
-        planned = max((each.planned for each in section.series), default=0)
+        pairs, usual = every_pair(series.label for series in section.series), Design()
+        planned = max((series.planned for series in section.series), default=0)
         design = Design(looks=max(usual.looks, -(-planned // usual.group)))
     else:
-        design = Design(group=trial.group, looks=trial.looks, alpha=trial.alpha)
+        pairs, design = list(trial.pairs), Design(group=trial.group, looks=trial.looks, alpha=trial.alpha)
     known = {series.label: _scores(series, seeds) for series in section.series}
-    labels = [(_labelled(known, pair, pair.method), _labelled(known, pair, pair.against)) for pair in pairs]
-    scores = [(known.get(one, {}), known.get(other, {})) for one, other in labels]
-    scores = [each if all(each) else ({}, {}) for each in scores]  # nothing is said of one alone
-    tested = [_in_order(section, two, *each, seeds=seeds) for two, each in zip(labels, scores, strict=True)]
     kinds = {series.label.task: series.score for series in section.series}
-    contests = [
-        Contest(pair, kinds.get(pair.task, "success"), _array(ours), _array(theirs), comparison, verdict)
-        for pair, (ours, theirs), comparison, verdict in zip(
-            pairs, scores, tested, sequential_test(tested, design), strict=True
-        )
-    ]
-    return Contests(design, tuple(contests))
+    sides = []
+    for pair in pairs:
+        asking = [Label(pair.task, method, pair.teacher, pair.feedback) for method in (pair.method, pair.against)]
+        labels = [label if label in known else Label(label.task, label.method) for label in asking]
+        scores = [known.get(label, {}) for label in labels]
+        if not all(scores):  # nothing is said of one alone
+            scores = [{}, {}]
+        order = _order(section, labels, seeds)
+        tested = Comparison(*([own[seed] for seed in takewhile(own.__contains__, order)] for own in scores))
+        ours, theirs = (np.array(list(own.values())) for own in scores)
+        sides.append((pair, kinds.get(pair.task, "success"), ours, theirs, tested))
+    verdicts = sequential_test([tested for *_, tested in sides], design)
+    return Contests(design, tuple(Contest(*side, verdict) for side, verdict in zip(sides, verdicts, strict=True)))
 
 
 def without_score(series: Series) -> list[str]:
@@ -125,8 +123,8 @@ def _pair(method: Label, other: Label) -> Pairing:
     return Pairing(asked.task, asked.teacher, asked.feedback, method.method, other.method)
 
 
-def _scores(series: Series, seeds: Collection[int] | None) -> Scores:
-    """The number of each finished run, of its own evaluations alone; none where one of them is not a number."""
+def _scores(series: Series, seeds: Collection[int] | None) -> dict[int, float]:
+    """The number of each finished run by its seed, of its own evaluations alone; none where one is not a number."""
     if not series.finished:
         return {}
     found = {}
@@ -138,21 +136,8 @@ def _scores(series: Series, seeds: Collection[int] | None) -> Scores:
     return found
 
 
-def _labelled(known: Collection[Label], pair: Pairing, method: str) -> Label:
-    """What a method of a pair is called in its section, whether it asks or not."""
-    asking = Label(pair.task, method, pair.teacher, pair.feedback)
-    return asking if asking in known else Label(pair.task, method)
-
-
-def _in_order(
-    section: Section, labels: Collection[Label], ours: Scores, theirs: Scores, *, seeds: Collection[int] | None
-) -> Comparison:
-    """The scores in the order of the seeds that were planned for either method, up to the first missing one of each."""
-    planned = {each.seed for each in section.absent if each.label in labels}
-    planned |= {seed for each in section.series if each.label in labels for seed in each.seeds}
-    order = sorted(planned if seeds is None else planned.intersection(seeds))
-    return Comparison(*([each[seed] for seed in takewhile(each.__contains__, order)] for each in (ours, theirs)))
-
-
-def _array(scores: Scores) -> Floats:
-    return np.array(list(scores.values()))
+def _order(section: Section, labels: Collection[Label], seeds: Collection[int] | None) -> list[int]:
+    """The seeds, of those to look at, that were planned for one of two methods."""
+    planned = {absent.seed for absent in section.absent if absent.label in labels}
+    planned |= {seed for series in section.series if series.label in labels for seed in series.seeds}
+    return sorted(planned if seeds is None else planned.intersection(seeds))

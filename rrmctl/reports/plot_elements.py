@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any
 from rrmctl.labels import ORACLE
 from rrmctl.reports.captions import short_absent_notes
 from rrmctl.reports.figure_layout import Slot
-from rrmctl.reports.series import Floats, Panel, Section, Series, Steps
+from rrmctl.reports.series import Panel, Section, Series
 from rrmctl.reports.styles import LINE, Looks, Style
-from rrmctl.stats import iqm, quartiles
+from rrmctl.stats import Floats, Steps, iqm, quartiles
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -14,9 +14,9 @@ from functools import reduce
 import numpy as np
 
 from rrmctl.errors import UserError
-from rrmctl.reports.series import Floats, Series, Steps, at_steps
+from rrmctl.reports.series import Series, at_steps
 from rrmctl.reports.statistics import BOOTSTRAP_SEED, LEVEL, Statistics
-from rrmctl.stats import Estimate, Iqm, estimate, interval_possible, resample
+from rrmctl.stats import Estimate, Floats, Iqm, Steps, estimate, interval_possible, resample
 from rrmctl.stats.bootstrap import Statistic
 
 

@@ -7,22 +7,18 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from rrm.envs.tasks import ScoreKind
 from rrmctl.errors import UserError
 from rrmctl.labels import Label, knows, panels
 from rrmctl.reports.styles import Looks, styles
-from rrmctl.stats import CommonStep, common_step
+from rrmctl.stats import CommonStep, Floats, Steps, common_step
 from rrmctl.store.trials import Trial
 
 if TYPE_CHECKING:
     import pandas as pd
 
     from rrmctl.store.layout import Layout
-
-Floats = npt.NDArray[np.float64]
-Steps = npt.NDArray[np.int64]
 
 #: The column of the curve that holds a score.
 SCORE_COLUMN: dict[ScoreKind, str] = {"success": "success", "return": "true_return"}

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from rrmctl.reports.series import Floats
+from rrmctl.stats import Floats
 
 
 def smooth(values: Floats, window: int) -> Floats:

@@ -20,9 +20,9 @@ from rrmctl.planning.profiles import PAPER
 from rrmctl.planning.schedules import Schedule
 from rrmctl.reports.claims import Arm, Claim, Reading, Test
 from rrmctl.reports.scores import Score, score
-from rrmctl.reports.series import Floats, Section, Series
+from rrmctl.reports.series import Section, Series
 from rrmctl.reports.statistics import LEVEL, Statistics
-from rrmctl.stats import MIN_RUNS, Estimate
+from rrmctl.stats import MIN_RUNS, Estimate, Floats
 
 Verdict = Literal["held", "not held", "not enough data"]
 

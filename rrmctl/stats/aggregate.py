@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 Floats = npt.NDArray[np.float64]
+Steps = npt.NDArray[np.int64]
 
 #: Which interquartile mean. `rliable` drops floor(n / 4) whole runs at each end, as rliable and scipy's `trim_mean` do
 #: (of ten runs the middle six remain); `exact` weighs the two runs that straddle a quartile by the share inside it (of

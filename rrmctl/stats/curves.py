@@ -1,16 +1,16 @@
-"""What is read off learning curves: the area below them, and the step at which methods are compared."""
+"""What is read off learning curves: the area below, the step at which methods are compared, and a profile there."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 import numpy.typing as npt
 
-from rrmctl.stats.aggregate import Floats, checked
-
-Steps = npt.NDArray[np.int64]
+from rrmctl.stats.aggregate import Floats, Steps, checked, mean
+from rrmctl.stats.bootstrap import REPLICATES, Estimate, bootstrap
 
 #: Of the seeds: how many must be at 100 % for a task to be read there.
 SHARE = 0.8
@@ -96,3 +96,35 @@ def checked_steps(steps: npt.ArrayLike) -> Steps:
     if (np.diff(x) <= 0).any():
         raise ValueError("evaluation steps must increase from one to the next")
     return x
+
+
+def performance_profile(
+    strata: Sequence[npt.ArrayLike],
+    thresholds: npt.ArrayLike,
+    *,
+    rng: np.random.Generator,
+    replicates: int = REPLICATES,
+    level: float = 0.95,
+) -> Estimate:
+    """Share of all runs, tasks pooled, that score above each threshold, with a pointwise percentile band.
+
+    The run-score distribution of Agarwal et al. 2021, as in rliable: a score equal to the threshold is not above it.
+
+    Args:
+        strata: for each task one score a run, [S].
+        thresholds: finite, [T].
+        rng: the only source of randomness.
+        replicates: resampled data sets.
+        level: nominal coverage at each threshold by itself; the band as a whole covers less.
+
+    Returns:
+        arrays [T].
+
+    Raises:
+        ValueError: as `rrmctl.stats.bootstrap`; thresholds that are no finite list; more than one score a run.
+    """
+    levels, runs = checked(thresholds, axis=0), [checked(each, axis=0) for each in strata]
+    if levels.ndim != 1 or any(each.ndim != 1 for each in runs):
+        raise ValueError("a profile needs a list of thresholds and one score for each run")
+    above = [each[:, None] > levels for each in runs]
+    return bootstrap(above, partial(mean, axis=-1), rng=rng, replicates=replicates, level=level)

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass
-from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from rrmctl.errors import UserError
 from rrmctl.store import validation
@@ -37,11 +36,6 @@ class Trial:
         """The most seeds of a method."""
         return self.group * self.looks
 
-    def to_json(self) -> dict[str, Any]:
-        """A JSON object."""
-        pairs = [pair._asdict() for pair in self.pairs]
-        return {"schema_version": SCHEMA_VERSION, **asdict(self), "pairs": pairs}
-
 
 _TRIAL = {**dict.fromkeys(("group", "looks"), validation.WHOLE), "pairs": validation.LIST}
 
@@ -54,7 +48,16 @@ def read_trial(layout: Layout, experiment: str, variant: str) -> Trial | None:
     """
     path = layout.trial(experiment, variant)
     content = read_json(path)
-    return None if content is None else _from_json(content, path)
+    if content is None:
+        return None
+    hint = "move it away to begin another test, whose error rate then no longer counts the looks of this one"
+    validation.check_version(content, path, hint)
+    validation.check(content, _TRIAL, path, hint)
+    try:
+        pairs = tuple(Pairing(**pair) for pair in content["pairs"])
+        return Trial(group=content["group"], looks=content["looks"], alpha=float(content["alpha"]), pairs=pairs)
+    except (KeyError, TypeError, ValueError) as problem:
+        raise DamagedError(f"{path} is damaged: {problem}", hint) from problem
 
 
 def begin_trial(layout: Layout, experiment: str, variant: str, trial: Trial) -> None:
@@ -69,7 +72,8 @@ def begin_trial(layout: Layout, experiment: str, variant: str, trial: Trial) -> 
         remove_leftovers(path.parent)
         known = read_trial(layout, experiment, variant)
         if known is None:
-            write_json(path, trial.to_json())
+            pairs = [pair._asdict() for pair in trial.pairs]
+            write_json(path, {"schema_version": SCHEMA_VERSION, **asdict(trial), "pairs": pairs})
         elif known != trial:
             raise UserError(
                 f"{path}: a test with other rules was begun here: {_rules(known)}; now asked for: {_rules(trial)}",
@@ -82,14 +86,3 @@ def _rules(trial: Trial) -> str:
     compared = "; ".join(dict.fromkeys(f"{pair.method} against {pair.against}" for pair in trial.pairs))
     tasks = ", ".join(dict.fromkeys(pair.task for pair in trial.pairs))
     return f"groups of {trial.group} seeds, at most {trial.seeds}, {compared} on {tasks}"
-
-
-def _from_json(content: dict[str, Any], path: Path) -> Trial:
-    hint = "move it away to begin another test, whose error rate then no longer counts the looks of this one"
-    validation.check_version(content, path, hint)
-    validation.check(content, _TRIAL, path, hint)
-    try:
-        pairs = tuple(Pairing(**pair) for pair in content["pairs"])
-        return Trial(group=content["group"], looks=content["looks"], alpha=float(content["alpha"]), pairs=pairs)
-    except (KeyError, TypeError, ValueError) as problem:
-        raise DamagedError(f"{path} is damaged: {problem}", hint) from problem

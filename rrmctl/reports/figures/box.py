@@ -17,10 +17,10 @@ from rrmctl.reports.figure_layout import Shape, panel_title, shape, sheet
 from rrmctl.reports.final_scores import FinalScores, readings
 from rrmctl.reports.notebook import FromFrames, nothing
 from rrmctl.reports.plot_elements import UNITS, contents, line, methods, score_axis, step_axis
-from rrmctl.reports.series import Floats, Panel, Section, at_steps
+from rrmctl.reports.series import Panel, Section, at_steps
 from rrmctl.reports.statistics import DEFAULTS, Statistics
 from rrmctl.reports.styles import Looks, Style
-from rrmctl.stats import MIN_RUNS, iqm, mean, quartiles
+from rrmctl.stats import MIN_RUNS, Floats, iqm, mean, quartiles
 from rrmctl.stats.curves import SHARE
 
 if TYPE_CHECKING:

@@ -15,10 +15,10 @@ from rrmctl.reports.captions import title
 from rrmctl.reports.figure_layout import Slot, cells_sheet
 from rrmctl.reports.notebook import nothing, one_section
 from rrmctl.reports.plot_elements import band, contents, line, methods, panel_name, step_axis
-from rrmctl.reports.series import Floats, Section, Series, Steps
+from rrmctl.reports.series import Section, Series
 from rrmctl.reports.statistics import DEFAULTS, Statistics, Width
 from rrmctl.reports.styles import Looks
-from rrmctl.stats import IqmKind, iqm
+from rrmctl.stats import Floats, IqmKind, Steps, iqm
 from rrmctl.store.gradients import load_gradients
 
 if TYPE_CHECKING:

@@ -21,10 +21,10 @@ from rrmctl.reports.iqm_curves import ALL_TASKS
 from rrmctl.reports.notebook import FromFrames, nothing
 from rrmctl.reports.plot_elements import UNITS, contents, methods, score_axis, told
 from rrmctl.reports.scores import read_together, score
-from rrmctl.reports.series import Floats, Section, Series
+from rrmctl.reports.series import Section, Series
 from rrmctl.reports.statistics import DEFAULTS, SURE, Statistics
 from rrmctl.reports.styles import Looks, Style
-from rrmctl.stats import Estimate, iqm
+from rrmctl.stats import Estimate, Floats, iqm
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -16,8 +16,9 @@ from rrmctl.labels import NOTHING_ASKED
 from rrmctl.reports.columns import COMPARED, METHOD, RUNS, SCORE, counts, interval, number
 from rrmctl.reports.report import NOTHING, Column, Grid, Report, Row, highest, report, some
 from rrmctl.reports.scores import read_together, score
-from rrmctl.reports.series import Floats, Section, Series
+from rrmctl.reports.series import Section, Series
 from rrmctl.reports.statistics import Statistics
+from rrmctl.stats import Floats
 from rrmctl.store.frame import MAYBE_WHOLE, NUMBER, TEXT
 
 EXPERIMENT = "less-feedback"

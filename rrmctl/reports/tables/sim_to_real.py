@@ -20,8 +20,9 @@ from rrmctl.reports.columns import COMPARED, ENDS, METHOD, RUNS, SCORE, number, 
 from rrmctl.reports.published import Checkpoint
 from rrmctl.reports.report import NOTHING, Column, Grid, Report, Row, report, some
 from rrmctl.reports.scores import score
-from rrmctl.reports.series import SCORE_COLUMN, Section, Series, Steps, finite
+from rrmctl.reports.series import SCORE_COLUMN, Section, Series, finite
 from rrmctl.reports.statistics import SURE, Statistics
+from rrmctl.stats import Steps
 from rrmctl.store.frame import MAYBE_WHOLE, NUMBER, TEXT, WHOLE
 
 EXPERIMENT = "sim-to-real"
