@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections import defaultdict
+from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 
 from rrm.envs.tasks import ScoreKind
-from rrmctl.reports.report import NOTHING, Column, Row
+from rrmctl.labels import knows
+from rrmctl.reports.report import NOTHING, Column, Grid, Row, highest
 from rrmctl.reports.statistics import SURE
 from rrmctl.stats import MIN_RUNS
 from rrmctl.store.frame import NUMBER, TEXT, WHOLE
@@ -58,6 +60,38 @@ def runs(row: Row) -> str:
 def counts(rows: Iterable[Row]) -> str:
     """Runs of those planned, of each of several rows in one cell; once where all have equally many."""
     return ", ".join(dict.fromkeys(map(runs, rows)))
+
+
+def pivoted(
+    rows: Sequence[Row],
+    places: Sequence[Column],
+    head: Callable[[Row], str],
+    cells: Mapping[str, Callable[[Row], str]],
+    best: tuple[str, Callable[[Row], Hashable]],
+) -> Grid:
+    """A table with a row for each place, and beside it what belongs to each of several heads; the runs stand last.
+
+    Args:
+        places: columns of words.
+        head: what stands over a row's cells.
+        cells: a row's texts by their heading, in which `{}` is the head.
+        best: the name of the value whose highest is bold, and what rows have in common that are compared.
+    """
+    shown, (value, compared) = [column for column in places if column.tells(rows)], best
+    by_place: dict[tuple[str, ...], dict[str, Row]] = defaultdict(dict)
+    for row in rows:
+        by_place[tuple(column.text(row) for column in shown)][head(row)] = row
+    heads = list(dict.fromkeys(map(head, rows)))
+    header = [*(str(column.heading) for column in shown), *(form.format(name) for name in heads for form in cells), "n"]
+    lines, entries = [], []
+    for at, (place, own) in enumerate(by_place.items()):
+        texts = (show(own[name]) if name in own else NOTHING for name in heads for show in cells.values())
+        lines.append((*place, *texts, counts(own.values())))
+        for name, row in own.items():
+            if not knows(row["method"]):
+                cell = (at, len(shown) + len(cells) * heads.index(name))
+                entries.append((cell, compared(row), row[value]))
+    return Grid(tuple(header), tuple(lines), len(shown), highest(entries))
 
 
 def scored(name: str, heading: str, *, best: bool = False) -> Column:

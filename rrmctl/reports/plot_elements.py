@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
 from rrmctl.labels import ORACLE
-from rrmctl.reports.captions import short_absent_notes
+from rrmctl.reports.captions import absent_notes
 from rrmctl.reports.figure_layout import Slot
 from rrmctl.reports.series import Panel, Section, Series
 from rrmctl.reports.styles import LINE, Looks, Style
@@ -117,5 +117,5 @@ def iqm_notes(section: Section, kind: IqmKind) -> Iterator[str]:
 def contents(section: Section) -> Iterator[str]:
     """Notes of every figure: how many of the planned runs it contains, which are missing, what was left out."""
     yield f"{section.contained} of {section.planned} planned runs."
-    yield from short_absent_notes(section)
+    yield from absent_notes(section, short=True)
     yield from section.problems

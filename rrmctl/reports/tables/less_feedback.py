@@ -13,8 +13,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from rrmctl.labels import NOTHING_ASKED
-from rrmctl.reports.columns import COMPARED, METHOD, RUNS, SCORE, counts, interval, number
-from rrmctl.reports.report import NOTHING, Column, Grid, Report, Row, highest, report, some
+from rrmctl.reports.columns import COMPARED, METHOD, RUNS, SCORE, interval, number, pivoted
+from rrmctl.reports.report import NOTHING, Column, Grid, Report, Row, report, some
 from rrmctl.reports.scores import read_together, score
 from rrmctl.reports.series import Section, Series
 from rrmctl.reports.statistics import Statistics
@@ -106,24 +106,14 @@ def _named(*words: str) -> dict[str, Any]:
 
 def _grid(rows: Sequence[Row]) -> Grid:
     """A row for each task and schedule, and a column for each method."""
-    shown = [column for column in PLACE if column.tells(rows)]
-    by_place: dict[tuple[str, ...], dict[str, Row]] = defaultdict(dict)
-    for row in rows:
-        by_place[tuple(row[column.name] for column in shown)][row["method"]] = row
-    methods = list(dict.fromkeys(row["method"] for row in rows))
-    cells = tuple(
-        (*place, *(_cell(of.get(method)) for method in methods), counts(of.values())) for place, of in by_place.items()
-    )
-    best = highest(
-        ((at, len(shown) + methods.index(method)), at, row["mean_iqm"])
-        for at, of in enumerate(by_place.values())
-        for method, row in of.items()
-    )
-    return Grid((*(str(column.heading) for column in shown), *methods, "n"), cells, len(shown), best)
+    return pivoted(
+        rows, PLACE, lambda row: str(row["method"]), {"{}": _cell},
+        best=("mean_iqm", lambda row: tuple(row[name] for name in COMPARED)),
+    )  # fmt: skip
 
 
-def _cell(row: Row | None) -> str:
-    if row is None or math.isnan(row["mean_iqm"]):
+def _cell(row: Row) -> str:
+    if math.isnan(row["mean_iqm"]):
         return NOTHING
     return f"{number(row['mean_iqm'], row['score'])} {interval(row['low'], row['high'], row['score'], row['n'])}"
 

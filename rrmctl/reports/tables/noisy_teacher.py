@@ -10,13 +10,13 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
 
-from rrmctl.labels import NOTHING_ASKED, ORACLE, knows
+from rrmctl.labels import NOTHING_ASKED, ORACLE
 from rrmctl.reports import published
-from rrmctl.reports.columns import ENDS, METHOD, RUNS, SCORE, STEP, counts, plus_minus, scored
-from rrmctl.reports.report import NOTHING, Cell, Column, Grid, Report, Row, highest, report, some
+from rrmctl.reports.columns import COMPARED, ENDS, METHOD, RUNS, SCORE, STEP, pivoted, plus_minus, scored
+from rrmctl.reports.report import NOTHING, Column, Grid, Report, Row, report, some
 from rrmctl.reports.series import Section
 from rrmctl.reports.statistics import Statistics
 from rrmctl.reports.tables.final import final_rows
@@ -61,14 +61,10 @@ def make(sections: Sequence[Section], settings: Statistics) -> list[Report]:
     Raises:
         NoDataError: there is none.
     """
-    found = [(section, _rows(section, settings)) for section in sections]
-    made = [
-        report(
-            section, settings, COLUMNS, rows, grid=_matrix if settings.plus_minus else None, notes=_notes(section, rows)
-        )
-        for section, rows in found
-        if rows
-    ]
+    made, grid = [], _matrix if settings.plus_minus else None
+    for section in sections:
+        if rows := _rows(section, settings):
+            made.append(report(section, settings, COLUMNS, rows, grid=grid, notes=_notes(section, rows)))
     hint = "`rrmctl run noisy-teacher` makes them; `rrmctl report final` is the table for other experiments"
     return some(made, sections, "there are no runs under a teacher who errs", hint)
 
@@ -78,10 +74,9 @@ def _rows(section: Section, settings: Statistics) -> list[dict[str, Any]]:
     panels = [panel for panel in section.panels() if panel.teacher not in (ORACLE, NOTHING_ASKED)]
     rows = [row for panel in panels for row in final_rows(panel, settings)]
     for row in rows:
-        known = published.final(row["task"], row["teacher"], row["method"])
-        if known is not None:
-            row |= {"published": known.success, "published_half": known.half}
-            row["difference"] = row.get("iqm", math.nan) - known.success
+        success, half = published.final(row["task"], row["teacher"], row["method"])
+        difference = row.get("iqm", math.nan) - success
+        row |= {"published": success, "published_half": half, "difference": difference}
     return rows
 
 
@@ -90,32 +85,19 @@ def _matrix(rows: Sequence[Row]) -> Grid:
 
     Methods of which several would share a row keep rows of their own, and schedules of one teacher have columns.
     """
-    keys = {(row["task"], row["teacher"], row["feedback"], _family(row["method"])) for row in rows}
-    shown = _family if len(keys) == len(rows) else str
-    asked = [column.name for column in (TEACHER, FEEDBACK) if column.tells(rows)]
-    by_place: dict[tuple[str, str], dict[tuple[str, ...], Row]] = {}
-    for row in rows:
-        by_place.setdefault((row["task"], shown(row["method"])), {})[_key(row, asked)] = row
-    words = 1 + TASK.tells(rows)
-    header = ["Task", "Method"][-words:]
-    columns = [list(column) for column in zip(*by_place, strict=True)][-words:]
-    best: list[tuple[Cell, tuple[str, ...], float]] = []
-    for head in dict.fromkeys(_key(row, asked) for row in rows):
-        own = [by_asked.get(head) for by_asked in by_place.values()]
-        best += [
-            ((at, len(columns)), (row["task"], *head), row["iqm"])
-            for at, row in enumerate(own)
-            if row and not knows(row["method"])
-        ]
-        header += [" ".join(head), "paper"]
-        columns += [[NOTHING if row is None else show(row) for row in own] for show in (_halved, _paper)]
-    header.append("n")
-    columns.append([counts(by_asked.values()) for by_asked in by_place.values()])
-    return Grid(tuple(header), tuple(zip(*columns, strict=True)), words, highest(best))
+    families = {(*(row[name] for name in COMPARED), _family(row["method"])) for row in rows}
+    named = _family if len(families) == len(rows) else str
+    method = Column("method", TEXT, "Method", lambda row: named(row["method"]))
+    cells = {"{}": _halved, "paper": _paper}
+    return pivoted(
+        rows, (TASK, method), lambda row: _place(row, (TEACHER, FEEDBACK), rows), cells,
+        best=("iqm", lambda row: tuple(row[name] for name in COMPARED)),
+    )  # fmt: skip
 
 
-def _key(row: Mapping[str, Any], names: Sequence[str]) -> tuple[str, ...]:
-    return tuple(row[name] for name in names)
+def _place(row: Row, columns: Sequence[Column], rows: Sequence[Row]) -> str:
+    """What tells a row from others, in words."""
+    return " ".join(column.text(row) for column in columns if column.tells(rows))
 
 
 def _family(method: str) -> str:
@@ -131,7 +113,6 @@ def _halved(row: Row) -> str:
 
 
 def _notes(section: Section, rows: Sequence[Row]) -> Iterator[str]:
-    places = [column.name for column in (TASK, TEACHER, FEEDBACK) if column.tells(rows)]
-    steps = {" ".join(_key(row, places)): row["step"] for row in rows}
+    steps = {_place(row, (TASK, TEACHER, FEEDBACK), rows): row["step"] for row in rows}
     yield f"Read at the last common step: {', '.join(f'{name} at {step:,}' for name, step in steps.items())}."
     yield f"Paper: {published.source(EXPERIMENT)}, at the paper's scale; ours is profile {section.profile}."
