@@ -22,9 +22,6 @@ if TYPE_CHECKING:
     from rrmctl.store.sweeps import SweepRecord
     from rrmctl.store.trials import Pairing, Trial
 
-#: Runs the jobs of a plan that are not done, and says how that ended.
-Execute = Callable[["Plan"], tuple[Exit, "SweepRecord"]]
-
 
 @dataclass(frozen=True)
 class Rules:
@@ -64,13 +61,15 @@ def asked_rules(until: bool, most: int | None, group: int | None, against: str |
     return Rules(most, size, against)
 
 
-def until_decided(layout: Layout, plan: Plan, rules: Rules, execute: Execute) -> tuple[Exit, SweepRecord]:
+def until_decided(
+    layout: Layout, plan: Plan, rules: Rules, execute: Callable[[Plan], tuple[Exit, SweepRecord]]
+) -> tuple[Exit, SweepRecord]:
     """Run groups of seeds until every comparison is decided or the most seeds are run, and say what was decided.
 
     Args:
         plan: of all seeds that may be run.
         rules: of the test.
-        execute: runs a part of the plan.
+        execute: runs those jobs of a part of the plan that are not done, and says how that ended.
 
     Returns:
         How the last part ended, and the record of what was run.

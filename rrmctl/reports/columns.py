@@ -67,7 +67,9 @@ def pivoted(
     places: Sequence[Column],
     head: Callable[[Row], str],
     cells: Mapping[str, Callable[[Row], str]],
+    *,
     best: tuple[str, Callable[[Row], Hashable]],
+    beside: Sequence[Column] = (),
 ) -> Grid:
     """A table with a row for each place, and beside it what belongs to each of several heads; the runs stand last.
 
@@ -76,22 +78,25 @@ def pivoted(
         head: what stands over a row's cells.
         cells: a row's texts by their heading, in which `{}` is the head.
         best: the name of the value whose highest is bold, and what rows have in common that are compared.
+        beside: numbers of a place's first row, between the places and the heads.
     """
     shown, (value, compared) = [column for column in places if column.tells(rows)], best
     by_place: dict[tuple[str, ...], dict[str, Row]] = defaultdict(dict)
     for row in rows:
         by_place[tuple(column.text(row) for column in shown)][head(row)] = row
     heads = list(dict.fromkeys(map(head, rows)))
-    header = [*(str(column.heading) for column in shown), *(form.format(name) for name in heads for form in cells), "n"]
+    names = [str(column.heading) for column in (*shown, *beside)]
+    header = (*names, *(form.format(name) for name in heads for form in cells), "n")
     lines, entries = [], []
     for at, (place, own) in enumerate(by_place.items()):
+        first = next(iter(own.values()))
         texts = (show(own[name]) if name in own else NOTHING for name in heads for show in cells.values())
-        lines.append((*place, *texts, counts(own.values())))
+        lines.append((*place, *(column.text(first) for column in beside), *texts, counts(own.values())))
         for name, row in own.items():
             if not knows(row["method"]):
-                cell = (at, len(shown) + len(cells) * heads.index(name))
+                cell = (at, len(names) + len(cells) * heads.index(name))
                 entries.append((cell, compared(row), row[value]))
-    return Grid(tuple(header), tuple(lines), len(shown), highest(entries))
+    return Grid(header, tuple(lines), len(shown), highest(entries))
 
 
 def scored(name: str, heading: str, *, best: bool = False) -> Column:

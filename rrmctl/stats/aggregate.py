@@ -36,12 +36,11 @@ def iqm(scores: npt.ArrayLike, kind: IqmKind = "rliable", *, axis: int | None = 
         ValueError: no scores, a score that is not finite, or an unknown kind.
     """
     values = checked(scores, axis)
-    ordered = np.sort(values, axis=-1)
-    weights = iqm_weights(ordered.shape[-1], kind)
+    weights = iqm_weights(values.shape[-1], kind)
     used = np.flatnonzero(weights)
     inside = slice(used[0], used[-1] + 1)
     # Dividing by the sum at the end keeps saturated scores exactly saturated: the weights are multiples of 1/4.
-    return np.asarray((ordered[..., inside] * weights[inside]).sum(axis=-1) / weights.sum())
+    return np.asarray((np.sort(values, axis=-1)[..., inside] * weights[inside]).sum(axis=-1) / weights.sum())
 
 
 @dataclass(frozen=True)
@@ -55,11 +54,7 @@ class Iqm:
 
 
 def iqm_weights(n: int, kind: IqmKind) -> Floats:
-    """Weight of each of `n` ordered runs, float64 [n], not normalised.
-
-    Raises:
-        ValueError: `n` is below one, or the kind is unknown.
-    """
+    """Weight of each of `n` ordered runs, float64 [n], not normalised."""
     low, high = iqm_window(n, kind)
     place = np.arange(n, dtype=np.float64)
     inside: Floats = np.minimum(place + 1, high) - np.maximum(place, low)

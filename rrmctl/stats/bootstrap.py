@@ -22,7 +22,7 @@ import numpy as np
 import numpy.typing as npt
 
 from rrmctl.stats.aggregate import Floats, Iqm, checked
-from rrmctl.stats.counting import Picks, count_draws, iqm_replicates
+from rrmctl.stats.counting import count_draws, iqm_replicates
 
 #: Reduces the last axis, which holds the runs. Any function will do; of an `Iqm` the replicates come much quicker.
 Statistic = Callable[[Floats], Floats]
@@ -133,34 +133,21 @@ def resample(
     runs = _runs_last(strata)
     # All draws come first: the stream must not depend on the size of the chunks.
     picks = [rng.integers(each.shape[-1], size=(replicates, each.shape[-1]), dtype=np.int32) for each in runs]
-    if isinstance(statistic, Iqm):
-        return _by_counting(runs, picks, statistic, chunk_bytes)
-    return _by_pooling(runs, picks, statistic, chunk_bytes)
-
-
-def _by_pooling(runs: Sequence[Floats], picks: Sequence[Picks], statistic: Statistic, chunk_bytes: int) -> Floats:
-    """Every replicate of [..., S] put together and handed to the statistic: [R, ...]."""
-    chunks = _chunks(len(picks[0]), chunk_bytes // (8 * sum(each.size for each in runs)))
-    parts = [np.moveaxis(statistic(_pooled(runs, [pick[chunk] for pick in picks])), -1, 0) for chunk in chunks]
-    return np.concatenate(parts)
-
-
-def _by_counting(runs: Sequence[Floats], picks: Sequence[Picks], statistic: Iqm, chunk_bytes: int) -> Floats:
-    """The same for an interquartile mean, from how often each replicate drew each run."""
-    scores, counts = np.concatenate(runs, axis=-1), count_draws(picks)
-    chunks = _chunks(len(picks[0]), chunk_bytes // (4 * len(counts)))  # a count takes a byte or two, and a few copies
-    parts = [iqm_replicates(scores, counts[:, chunk], statistic.kind) for chunk in chunks]
+    if isinstance(statistic, Iqm):  # from how often each replicate drew each run; a count takes a byte or two, copied
+        scores, counts, kind = np.concatenate(runs, axis=-1), count_draws(picks), statistic.kind
+        length = max(1, chunk_bytes // (4 * len(counts)))
+        parts = [iqm_replicates(scores, counts[:, chunk], kind) for chunk in _chunks(replicates, length)]
+    else:
+        length = max(1, chunk_bytes // (8 * sum(each.size for each in runs)))
+        parts = []
+        for chunk in _chunks(replicates, length):
+            drawn = [np.take(each, pick[chunk], axis=-1) for each, pick in zip(runs, picks, strict=True)]
+            parts.append(statistic(np.concatenate(drawn, axis=-1)))
     return np.moveaxis(np.concatenate(parts, axis=-1), -1, 0)
 
 
 def _chunks(replicates: int, length: int) -> Iterator[slice]:
-    """All replicates, at most `length` of them (but at least one) at a time."""
-    return (slice(start, start + max(1, length)) for start in range(0, replicates, max(1, length)))
-
-
-def _pooled(runs: Sequence[Floats], picks: Sequence[Picks]) -> Floats:
-    """Each stratum [..., S] at its picks [R, S], side by side: [..., R, sum of S]."""
-    return np.concatenate([np.take(each, pick, axis=-1) for each, pick in zip(runs, picks, strict=True)], axis=-1)
+    return (slice(start, start + length) for start in range(0, replicates, length))
 
 
 def _runs_last(strata: Sequence[npt.ArrayLike]) -> list[Floats]:
@@ -215,11 +202,14 @@ def bca_levels(point: Floats, draws: Floats, without: Sequence[Floats], level: f
     below = ((draws < point).mean(axis=0) + (draws <= point).mean(axis=0)) / 2  # ties count by half
     known = (below > 0.0) & (below < 1.0)
     bias = _inverse(np.where(known, below, 0.5))
-    acceleration = _acceleration(without)
+    influence = [(len(each) - 1) * (each.mean(axis=0) - each) / len(each) for each in without]
+    cubes, squares = (np.sum([(each**power).sum(axis=0) for each in influence], axis=0) for power in (3, 2))
+    known &= squares > 0.0
+    acceleration = cubes / np.where(squares > 0.0, 6.0 * squares**1.5, 1.0)  # a sixth of the influences' skewness
     tail = (1.0 - level) / 2.0
     ends = np.array([_NORMAL.inv_cdf(tail), _NORMAL.inv_cdf(1.0 - tail)]).reshape(2, *[1] * point.ndim)
     slope = 1.0 - acceleration * (bias + ends)
-    known = known & np.isfinite(acceleration) & (slope > 0.0).all(axis=0)
+    known &= (slope > 0.0).all(axis=0)
     shifted = bias + (bias + ends) / np.where(known, slope, 1.0)
     return np.where(known, _cdf(shifted), np.nan)
 
@@ -232,12 +222,3 @@ def quantiles_at(draws: Floats, levels: Floats) -> Floats:
     after = np.minimum(before + 1, len(draws) - 1)
     low, high = (np.take_along_axis(ordered, each, axis=0) for each in (before, after))
     return np.asarray(low + (high - low) * (place - before))
-
-
-def _acceleration(without: Sequence[Floats]) -> Floats:
-    """A sixth of the influences' skewness; NaN where no run has any."""
-    influence = [(len(each) - 1) * (each.mean(axis=0) - each) / len(each) for each in without]
-    cubes = np.sum([(each**3).sum(axis=0) for each in influence], axis=0)
-    squares = np.sum([(each**2).sum(axis=0) for each in influence], axis=0)
-    any_influence = squares > 0.0
-    return np.where(any_influence, cubes / np.where(any_influence, 6.0 * squares**1.5, 1.0), np.nan)

@@ -47,13 +47,16 @@ def difference(
     sizes = _sizes(ours, theirs)
     if paired and any(a != b for a, b in sizes):
         raise ValueError("paired runs come in pairs: both methods need the same seeds on every task")
-    point = _pooled(ours, statistic) - _pooled(theirs, statistic)
+    both = (ours, theirs)
+    point, other = (statistic(np.concatenate([checked(each, axis=0) for each in runs], axis=-1)) for runs in both)
     draws = None
     if interval_possible([size for pair in sizes for size in pair]):
-        first, second = rng.integers(2**63, size=2)
-        second = first if paired else second  # generators with one seed draw the same rows
-        draws = _draws(ours, statistic, first, replicates) - _draws(theirs, statistic, second, replicates)
-    found = estimate(point, draws, n=sum(map(sum, sizes)), level=level)
+        seeds = rng.integers(2**63, size=2)
+        rngs = map(np.random.default_rng, seeds[[0, 0]] if paired else seeds)  # those with one seed draw the same rows
+        draws = np.subtract(
+            *(resample(runs, statistic, rng=own, replicates=replicates) for runs, own in zip(both, rngs, strict=True))
+        )
+    found = estimate(point - other, draws, n=sum(map(sum, sizes)), level=level)
     return found if draws is None else found.noting("pairs of one seed drawn together" if paired else "unpaired")
 
 
@@ -96,10 +99,6 @@ def improvement(
     return estimate(probability_of_improvement(ours, theirs), draws, n=sum(map(sum, sizes)), level=level)
 
 
-def _draws(strata: Strata, statistic: Statistic, seed: np.int64, replicates: int) -> Floats:
-    return resample(strata, statistic, rng=np.random.default_rng(seed), replicates=replicates)
-
-
 def _win_draws(wins: Floats, sizes: tuple[int, int], rng: np.random.Generator, replicates: int) -> Floats:
     """The share of wins of each replicate [R], from how often it drew each run."""
     ours, theirs = (count_draws([rng.integers(n, size=(replicates, n), dtype=np.int32)]) for n in sizes)
@@ -112,10 +111,6 @@ def _wins(ours: npt.ArrayLike, theirs: npt.ArrayLike) -> Floats:
     if a.ndim != 1 or b.ndim != 1:
         raise ValueError("runs are compared by one score each")
     return np.asarray((np.sign(a[:, None] - b) + 1.0) / 2.0)
-
-
-def _pooled(strata: Strata, statistic: Statistic) -> Floats:
-    return statistic(np.concatenate([checked(each, axis=0) for each in strata], axis=-1))
 
 
 def _sizes(ours: Strata, theirs: Strata) -> list[tuple[int, int]]:

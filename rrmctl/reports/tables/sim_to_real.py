@@ -16,7 +16,7 @@ import numpy as np
 from rrm.envs.tasks import ScoreKind
 from rrmctl.planning.profiles import PAPER
 from rrmctl.reports import published
-from rrmctl.reports.columns import COMPARED, ENDS, METHOD, RUNS, SCORE, number, step
+from rrmctl.reports.columns import COMPARED, ENDS, METHOD, RUNS, SCORE, number, pivoted, scored, step
 from rrmctl.reports.published import Checkpoint
 from rrmctl.reports.report import NOTHING, Column, Grid, Report, Row, report, some
 from rrmctl.reports.scores import score
@@ -96,31 +96,18 @@ def _position(series: Series, steps: Steps, checkpoint: Checkpoint, profile: str
 def _grid(rows: Sequence[Row]) -> Grid:
     """A row for each task, checkpoint and method; success and return beside one another."""
     tasks = list(dict.fromkeys(row["task"] for row in rows))
-    ordered = sorted(rows, key=lambda row: (tasks.index(row["task"]), row["paper_step"]))
-    halves = [[row for row in ordered if row["score"] == kind] for kind in SCORE_COLUMN]
-    pairs = [
-        {**ours[0], **{row["score"]: row for row in ours}, **{f"{row['score']} iqm": row["iqm"] for row in ours}}
-        for ours in zip(*halves, strict=True)
-    ]
-    columns = (
+    places = (
         Column("task", TEXT, "Task"),
         Column("paper_step", TEXT, "Checkpoint", lambda row: f"{row['paper_step']:,}"),
         METHOD,
-        Column("step", MAYBE_WHOLE, "Step", lambda row: step(row) if row["n"] else NOTHING),
-        *(column for kind in SCORE_COLUMN for column in _half(kind)),
-        RUNS[0],
     )
-    return Grid.of(columns, pairs)
-
-
-def _half(kind: ScoreKind) -> tuple[Column, ...]:
-    """The columns of one score, whose row each row holds by its name."""
-    name, compared = kind.capitalize(), ("task", "paper_step")
-    return (
-        Column(f"{kind} iqm", NUMBER, name, lambda row: number(row[kind]["iqm"], kind), best=compared),
-        Column(kind, NUMBER, f"{name}, {SURE}", lambda row: ENDS[0].text(row[kind])),
-        Column(kind, NUMBER, f"{name}, paper", lambda row: _beside(row[kind])),
-    )
+    reached = Column("step", MAYBE_WHOLE, "Step", lambda row: step(row) if row["n"] else NOTHING)
+    return pivoted(
+        sorted(rows, key=lambda row: (tasks.index(row["task"]), row["paper_step"])), places,
+        lambda row: str(row["score"]).capitalize(),
+        {"{}": scored("iqm", "").text, f"{{}}, {SURE}": ENDS[0].text, "{}, paper": _beside},
+        best=("iqm", lambda row: (row["task"], row["paper_step"], row["score"])), beside=[reached],
+    )  # fmt: skip
 
 
 def _beside(row: Row) -> str:
