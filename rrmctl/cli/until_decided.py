@@ -119,11 +119,7 @@ def _part(plan: Plan, seeds: Iterable[int], pairs: Iterable[Pairing]) -> Plan:
 
 
 def _look(layout: Layout, plan: Plan, trial: Trial, seeds: list[int]) -> Contests:
-    """Where the comparisons stand with these seeds.
-
-    Raises:
-        UserError: a run is done and has no score, or the runs do not belong together.
-    """
+    """Where the comparisons stand with these seeds; refused where a run is done and has no score."""
     from rrmctl.reports.pairwise import decide
     from rrmctl.reports.select import read_sections
 

@@ -72,8 +72,7 @@ def contents_notes(section: Section) -> Iterator[str]:
 def absent_notes(section: Section, *, short: bool = False) -> Iterator[str]:
     """What was planned and is not in it: a sentence for each state, and one for series read before their end.
 
-    Args:
-        short: where words are dear: methods that lack the same seeds together, teachers where needed.
+    Where words are dear (`short`) with methods together that lack the same seeds, and teachers where needed.
     """
     asking = {(each.label.task, *each.label[2:]) for each in section.series if each.label.teacher != NOTHING_ASKED}
     several = {task for task, count in Counter(task for task, *_ in asking).items() if count > 1}

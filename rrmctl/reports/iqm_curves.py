@@ -1,7 +1,8 @@
-"""The IQM table and the IQM curves of a section, as DataFrames.
+"""The IQM table and the IQM curves of a section, as DataFrames, and the curves' files.
 
 Values are raw here: success as a fraction, returns as they are. What must stand beside them is added where a report is
-made of them.
+made of them. `aggregates/<experiment>.parquet` holds the curves of an experiment, a row for each variant, series and
+step; profile and overrides are the variant.
 """
 
 from __future__ import annotations
@@ -14,20 +15,25 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from rrmctl.errors import UserError
 from rrmctl.reports.columns import ENDS, METHOD, PLACE, QUARTILES, RUNS, SCORE, scored
 from rrmctl.reports.report import NOTHING, Column, Row
 from rrmctl.reports.scores import at, score
 from rrmctl.reports.series import Panel, Section, Series
 from rrmctl.reports.statistics import BOOTSTRAP_SEED, DEFAULTS, LEVEL, Statistics
 from rrmctl.stats import Estimate, Floats, Iqm, area_under_curve, estimate, interval_possible, iqm, quartiles, resample
+from rrmctl.store.files import remove_leftovers, write_table
 from rrmctl.store.frame import MAYBE_WHOLE, NUMBER, TEXT, WHOLE, frame
 
 if TYPE_CHECKING:
     import pandas as pd
 
+    from rrmctl.store.layout import Layout
+
 #: Of the curves' parquet file; raised by one when a column is added, removed, or changes its meaning.
 CURVES_VERSION = 1
-#: With the types that they have in a frame.
+#: With their types. Teacher and feedback are "-" where nothing is asked; `low` and `high`, the 95 % interval of the IQM,
+#: are NaN below three seeds; `n` counts seeds.
 CURVE_COLUMNS = {
     "experiment": TEXT, "variant": TEXT, "profile": TEXT, "task": TEXT, "method": TEXT, "teacher": TEXT,
     "feedback": TEXT, "step": WHOLE, "iqm": NUMBER, "q25": NUMBER, "q75": NUMBER, "low": NUMBER, "high": NUMBER,
@@ -100,6 +106,33 @@ def curve_table(section: Section, settings: Statistics = DEFAULTS) -> pd.DataFra
     return frame(rows, CURVE_COLUMNS)
 
 
+def write_curves(layout: Layout, sections: Sequence[Section], settings: Statistics = DEFAULTS) -> None:
+    """Replace the files of all experiments in `sections`, each as a whole.
+
+    Raises:
+        UserError: some hold runs that do not belong together, which a file has no room to say; theirs stay as they are.
+        StorageError: the results folder takes no write; the old files are untouched.
+    """
+    import pandas as pd
+    import pyarrow as pa
+
+    mixed = {section.experiment for section in sections if section.mixed or section.refusal}
+    tables = [curve_table(section, settings) for section in sections if section.experiment not in mixed]
+    by_experiment = pd.concat(tables, ignore_index=True).groupby("experiment", sort=False) if tables else ()
+    kinds = {name: "string" if kind == TEXT else kind for name, kind in CURVE_COLUMNS.items()}
+    schema = pa.schema([pa.field(name, kind, nullable=False) for name, kind in kinds.items()])
+    for experiment, rows in by_experiment:
+        # from_pandas=False: a NaN stays a number and does not become a null.
+        columns = [pa.array(rows[field.name].to_numpy(), field.type, from_pandas=False) for field in schema]
+        path = layout.aggregate(str(experiment))
+        remove_leftovers(path.parent)
+        write_table(path, pa.Table.from_arrays(columns, schema=schema))
+    if mixed:
+        why = "; ".join(str(section.refusal) for section in sections if section.refusal)
+        what = f"{', '.join(sorted(mixed))}: runs that are mixed are not kept as one curve"
+        raise UserError(f"{what}: {why}" if why else what)
+
+
 def iqm_table(section: Section, settings: Statistics = DEFAULTS) -> pd.DataFrame:
     """Per task and method the IQM at the task's common step, with its interval: columns `COLUMNS`."""
     return frame(iqm_rows(section, settings), {column.name: column.kind for column in COLUMNS})
@@ -143,18 +176,15 @@ def across_tasks(panels: Sequence[Panel]) -> list[list[Panel]]:
 def _group_rows(group: Sequence[Panel], settings: Statistics) -> Iterator[dict[str, Any]]:
     """A row for every method that has runs on all tasks of the group, each task read at its own common step."""
     by_task = [{series.label.method: series for series in panel.present()} for panel in group]
-    teachers, schedules = {panel.teacher for panel in group}, {panel.feedback for panel in group}
+    named = ({panel.teacher for panel in group}, "several"), ({panel.feedback for panel in group}, "each task's")
+    teacher, feedback = (names.pop() if len(names) == 1 else otherwise for names, otherwise in named)
     for method in (name for name in by_task[0] if all(name in methods for methods in by_task)):
         series = [methods[method] for methods in by_task]
         scores = [at(each, panel.read_at().step) for each, panel in zip(series, group, strict=True)]
         q25, q75 = quartiles(np.concatenate(scores))
         yield {
-            "task": ALL_TASKS, "teacher": _only(teachers, "several"), "feedback": _only(schedules, "each task's"),
-            "method": method, "score": "success", "step_rule": "each", "q25": float(q25), "q75": float(q75),
-            "n": sum(each.n for each in series), "planned": sum(each.planned for each in series),
+            "task": ALL_TASKS, "teacher": teacher, "feedback": feedback, "method": method, "score": "success",
+            "step_rule": "each", "q25": float(q25), "q75": float(q75), "n": sum(each.n for each in series),
+            "planned": sum(each.planned for each in series),
             **score(scores, settings, pooled=True).row(),
         }  # fmt: skip
-
-
-def _only(names: set[str], otherwise: str) -> str:
-    return next(iter(names)) if len(names) == 1 else otherwise

@@ -73,11 +73,7 @@ class Grid:
 
 
 def highest(entries: Iterable[tuple[Cell, Hashable, float]]) -> frozenset[Cell]:
-    """The cells with the greatest number of their group; equals all count, NaN never does.
-
-    Args:
-        entries: cells, the group in which each is compared, and its number.
-    """
+    """The cells with the greatest number of their group, from (cell, group, number); equals all count, NaN never."""
     groups: dict[Hashable, dict[Cell, float]] = defaultdict(dict)
     for cell, group, value in entries:
         if not math.isnan(value):
@@ -151,16 +147,7 @@ def tabled(columns: Sequence[Column], rows: Iterable[Row]) -> tuple[pd.DataFrame
 
 
 def some(reports: list[Report], sections: Sequence[Section], lacking: str, hint: str) -> list[Report]:
-    """The reports of a kind, if there are any.
-
-    Args:
-        sections: that were asked about.
-        lacking: what they have none of.
-        hint: what to do about that.
-
-    Raises:
-        NoDataError: there is none.
-    """
+    """The reports of a kind; without any, a `NoDataError` that says what the sections lack and what to do."""
     if not reports:
         names = ", ".join(dict.fromkeys(section.experiment for section in sections))
         raise NoDataError(f"{names}: {lacking}", hint)

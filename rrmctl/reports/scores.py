@@ -25,17 +25,12 @@ class Score:
     """A number and its replicates."""
 
     point: float
-    draws: Floats | None  #: [R]; None where a task has too few seeds for an interval
+    draws: Floats  #: [R]; a NaN where a task has too few seeds for an interval
     n: int  #: fewest seeds of a task, of both methods where it is a difference
 
     def __sub__(self, other: Score) -> Score:
         """The difference between two methods, each resampled on its own."""
-        known = self.draws is not None and other.draws is not None
-        return Score(
-            self.point - other.point,
-            self.draws - other.draws if known else None,  # type: ignore[operator]  # both are there
-            min(self.n, other.n),
-        )
+        return Score(self.point - other.point, self.draws - other.draws, min(self.n, other.n))
 
     def estimate(self, level: float = LEVEL) -> Estimate:
         """With its percentile interval."""
@@ -67,10 +62,10 @@ def score(
     rng, sizes = np.random.default_rng([BOOTSTRAP_SEED, stream] if stream else BOOTSTRAP_SEED), list(map(len, tasks))
     groups = [tasks] if pooled else [[each] for each in tasks]
     points = [middle(np.concatenate(group).T).mean() for group in groups]
-    draws = None
+    draws = np.full(1, np.nan)
     if interval_possible(sizes):
         drawn = [resample(group, middle, rng=rng, replicates=settings.replicates) for group in groups]
-        draws = np.mean([each.mean(axis=-1) for each in drawn], axis=0)
+        draws = np.asarray(np.mean([each.mean(axis=-1) for each in drawn], axis=0))
     return Score(float(np.mean(points)), draws, min(sizes))
 
 

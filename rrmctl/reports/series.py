@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import reduce
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -80,9 +81,7 @@ class Panel:
             UserError: there is none, so the methods cannot be compared.
         """
         present = self.present()
-        common = present[0].steps
-        for each in present[1:]:
-            common = np.intersect1d(common, each.steps)
+        common = reduce(np.intersect1d, (series.steps for series in present))
         if common.size == 0:
             seen = "; ".join(f"{s.label.method} at {s.steps[0]:,} to {s.steps[-1]:,}" for s in present)
             raise UserError(f"{self.task}: no evaluation step is common to all methods: {seen}")
@@ -104,10 +103,8 @@ class Panel:
 
     def read_at(self) -> CommonStep:
         """The step at which the methods are compared: the paper's rule for success, the last one for returns."""
-        steps = self.steps()
-        if self.score == "return":
-            return CommonStep(index=steps.size - 1, step=int(steps[-1]), reached=False, by=())
-        success = {each.label.method: at_steps(each, steps) for each in self.present() if not knows(each.label.method)}
+        steps, rivals = self.steps(), [series for series in self.present() if not knows(series.label.method)]
+        success = {series.label.method: at_steps(series, steps) for series in rivals if self.score == "success"}
         return common_step(steps, success)
 
 
@@ -151,13 +148,9 @@ class Section:
 
     def panels(self) -> tuple[Panel, ...]:
         """The comparisons, in the order of the plan; those without any run are left out."""
-        known = {each.label: each for each in self.series}
-        found = []
-        for where, labels in panels(known).items():
-            members = tuple(known[label] for label in labels)
-            if any(each.n for each in members):
-                found.append(Panel(*where, members[0].score, members))
-        return tuple(found)
+        known = {series.label: series for series in self.series}
+        groups = ((where, tuple(known[label] for label in labels)) for where, labels in panels(known).items())
+        return tuple(Panel(*where, own[0].score, own) for where, own in groups if any(series.n for series in own))
 
 
 def by_seed(rows: pd.DataFrame, column: str) -> tuple[Steps, Floats]:

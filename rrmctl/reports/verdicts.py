@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import reduce
 from typing import Literal
 
 import numpy as np
@@ -45,9 +46,8 @@ class Finding:
 
 @dataclass(frozen=True)
 class Judgement:
-    """A claim and what the store says of it."""
+    """What the store says of a claim."""
 
-    claim: Claim
     verdict: Verdict
     findings: tuple[Finding, ...]
 
@@ -73,15 +73,11 @@ def judge(claim: Claim, sections: Mapping[str, Section], settings: Statistics) -
                 findings.append(Finding(test, ", ".join(tasks), why=str(error)))
     verdicts = {finding.verdict for finding in findings}
     verdict: Verdict = "not held" if "not held" in verdicts else "held" if verdicts == {"held"} else "not enough data"
-    return Judgement(claim, verdict, tuple(findings))
+    return Judgement(verdict, tuple(findings))
 
 
 def _finding(test: Test, tasks: Sequence[str], section: Section, rivals: int, settings: Statistics) -> Finding:
-    """What the section says of one of so many rival comparisons.
-
-    Raises:
-        UserError: it says nothing; the message says why.
-    """
+    """What the section says of one of so many rival comparisons; the error says why it says nothing."""
     measured, unit = _measured(test, tasks, section, settings)
     found = measured.estimate()
     worst, _ = _beyond(test, found)
@@ -91,7 +87,7 @@ def _finding(test: Test, tasks: Sequence[str], section: Section, rivals: int, se
     why, margin = "", -math.inf
     if section.profile in _UNJUDGED:
         why = f"profile {section.profile} is no result"
-    elif measured.draws is None:
+    elif np.isnan(measured.draws).all():
         why = f"{found.n} seeds; an interval needs {MIN_RUNS}"
     else:
         margin = worst
@@ -134,11 +130,7 @@ def _deviation(scores: Floats) -> Floats:
 
 
 def _series(section: Section, task: str, words: str) -> Series:
-    """The one finished series that an arm means.
-
-    Raises:
-        UserError: there is none, or it is not finished.
-    """
+    """The one finished series that an arm means; the error says why there is none."""
     arm = Arm.of(words)
     of_task = [(series, Schedule.of(series.label.feedback)) for series in section.series if series.label.task == task]
     schedules = [schedule for _, schedule in of_task if schedule]
@@ -165,15 +157,9 @@ def _is(budget: tuple[float, float], schedule: Schedule, schedules: Sequence[Sch
 
 
 def _values(section: Section, series: Sequence[Series], reading: Reading) -> Iterator[Floats]:
-    """What is read of each series [S, T], at the same steps of all.
-
-    Raises:
-        UserError: no step is common to them, or a value is not a number.
-    """
+    """What is read of each series [S, T], at the same steps of all; the error says why there is nothing."""
     measured = [reading.of(each) for each in series]
-    steps = measured[0][0]
-    for other, _ in measured[1:]:
-        steps = np.intersect1d(steps, other)
+    steps = reduce(np.intersect1d, (own for own, _ in measured))
     if reading.steps == "common":
         panels = [panel for panel in section.panels() if any(each in panel.series for each in series)]
         steps = steps[steps == panels[0].read_at().step]

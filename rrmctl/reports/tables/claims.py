@@ -47,11 +47,7 @@ COLUMNS = (
 
 
 def make(sections: Sequence[Section], settings: Statistics) -> list[Report]:
-    """A table for each profile and set of overrides of the experiments that the claims are about.
-
-    Raises:
-        NoDataError: the claims are about others.
-    """
+    """A table for each profile and set of overrides of the experiments that the claims are about."""
     asked = list(dict.fromkeys(claim.experiment for claim in CLAIMS))
     variants: dict[tuple[str, str], list[Section]] = {}
     for section in sections:

@@ -49,11 +49,7 @@ Schedules = Mapping[tuple[str, str], Mapping[str, Series]]
 
 
 def make(sections: Sequence[Section], settings: Statistics) -> list[Report]:
-    """A table for each section in which a task is asked by several schedules.
-
-    Raises:
-        NoDataError: there is none.
-    """
+    """A table for each section in which a task is asked by several schedules."""
     made = []
     for section in sections:
         if schedules := _schedules(section):

@@ -56,11 +56,7 @@ COLUMNS = (
 
 
 def make(sections: Sequence[Section], settings: Statistics) -> list[Report]:
-    """A table for each section with runs under a teacher who errs.
-
-    Raises:
-        NoDataError: there is none.
-    """
+    """A table for each section with runs under a teacher who errs."""
     made, grid = [], _matrix if settings.plus_minus else None
     for section in sections:
         if rows := _rows(section, settings):

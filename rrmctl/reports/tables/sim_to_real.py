@@ -40,11 +40,7 @@ COLUMNS = (
 
 
 def make(sections: Sequence[Section], settings: Statistics) -> list[Report]:
-    """A table for each section with runs of the simulated robot.
-
-    Raises:
-        NoDataError: there is none.
-    """
+    """A table for each section with runs of the simulated robot."""
     made = []
     for section in sections:
         note = (

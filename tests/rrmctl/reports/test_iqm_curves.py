@@ -5,8 +5,7 @@ import pandas as pd
 import pytest
 from scipy.stats import trim_mean
 
-from rrmctl.reports import aggregates
-from rrmctl.reports.iqm_curves import ALL_TASKS, COLUMNS, CURVE_COLUMNS, curve_table, curves, iqm_table
+from rrmctl.reports.iqm_curves import ALL_TASKS, COLUMNS, CURVE_COLUMNS, curve_table, curves, iqm_table, write_curves
 from rrmctl.reports.select import sections
 from rrmctl.reports.statistics import Statistics
 from rrmctl.store.layout import Layout
@@ -127,7 +126,7 @@ def test_curves_are_kept_as_parquet(tmp_path):
     """The aggregated file has one row per series and step, plain types, and NaN where there is no interval."""
     short = Sweep(curves=RISING | {"pebble": RISING["pebble"][:2]})
     (section,) = sections(*short.frames())
-    aggregates.write(Layout(tmp_path), [section], QUICK)
+    write_curves(Layout(tmp_path), [section], QUICK)
     read = pd.read_parquet(tmp_path / "aggregates" / "main-results.parquet")
     assert len(read) == 3 * 4
     pebble = read[read["method"] == "pebble"]
