@@ -32,8 +32,8 @@ if TYPE_CHECKING:
 
 #: Of the curves' parquet file; raised by one when a column is added, removed, or changes its meaning.
 CURVES_VERSION = 1
-#: With their types. Teacher and feedback are "-" where nothing is asked; `low` and `high`, the 95 % interval of the IQM,
-#: are NaN below three seeds; `n` counts seeds.
+#: With their types. Teacher and feedback are "-" where nothing is asked; low and high, the 95 % interval of the IQM,
+#: are NaN below three seeds; n counts seeds.
 CURVE_COLUMNS = {
     "experiment": TEXT, "variant": TEXT, "profile": TEXT, "task": TEXT, "method": TEXT, "teacher": TEXT,
     "feedback": TEXT, "step": WHOLE, "iqm": NUMBER, "q25": NUMBER, "q75": NUMBER, "low": NUMBER, "high": NUMBER,
