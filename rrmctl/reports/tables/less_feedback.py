@@ -9,14 +9,15 @@ from __future__ import annotations
 
 import math
 from collections import defaultdict
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from typing import Any
 
 from rrmctl.labels import NOTHING_ASKED
 from rrmctl.reports.columns import COMPARED, METHOD, RUNS, SCORE, interval, number, pivoted
 from rrmctl.reports.report import NOTHING, Column, Grid, Report, Row, report, some
 from rrmctl.reports.scores import read_together, score
-from rrmctl.reports.series import Section, Series
+from rrmctl.reports.series import Panel, Section, Series
 from rrmctl.reports.statistics import Statistics
 from rrmctl.stats import Floats
 from rrmctl.store.frame import MAYBE_WHOLE, NUMBER, TEXT
@@ -44,60 +45,52 @@ COLUMNS = (
     *(Column(name, NUMBER) for name in ("mean_iqm", "low", "high")), *RUNS,
 )  # fmt: skip
 
-#: By teacher and feedback, the series of each method.
-Schedules = Mapping[tuple[str, str], Mapping[str, Series]]
-
 
 def make(sections: Sequence[Section], settings: Statistics) -> list[Report]:
     """A table for each section in which a task is asked by several schedules."""
-    made = []
+    reports = []
     for section in sections:
-        if schedules := _schedules(section):
-            rows = _rows(schedules, settings)
-            made.append(report(section, settings, COLUMNS, rows, grid=_grid, notes=_notes(rows)))
+        if tasks := _asking(section):
+            rows = _rows(tasks, settings)
+            reports.append(report(section, settings, COLUMNS, rows, grid=_grid, notes=_notes(rows)))
     lacking = "no task has runs under several schedules of feedback"
-    return some(made, sections, lacking, "`rrmctl run less-feedback` makes them")
+    return some(reports, sections, lacking, "`rrmctl run less-feedback` makes them")
 
 
-def _schedules(section: Section) -> dict[str, Schedules]:
-    """For each task with several schedules of feedback, what was run."""
-    found: dict[str, dict[tuple[str, str], dict[str, Series]]] = {}
+def _asking(section: Section) -> list[list[Panel]]:
+    """The panels of each task with several schedules of feedback, less what asks nothing."""
+    tasks: dict[str, list[Panel]] = defaultdict(list)
     for panel in section.panels():
-        asked = {each.label.method: each for each in panel.series if each.label.feedback != NOTHING_ASKED}
-        found.setdefault(panel.task, {})[panel.teacher, panel.feedback] = asked
-    return {task: schedules for task, schedules in found.items() if len(schedules) > 1}
+        asking = tuple(series for series in panel.series if series.label.feedback != NOTHING_ASKED)
+        tasks[panel.task].append(replace(panel, series=asking))
+    return [panels for panels in tasks.values() if len(panels) > 1]
 
 
-def _rows(tasks: Mapping[str, Schedules], settings: Statistics) -> list[dict[str, Any]]:
+def _rows(tasks: Sequence[Sequence[Panel]], settings: Statistics) -> list[dict[str, Any]]:
     """A row for each task, schedule and method, success as a fraction; before them those of all tasks together.
 
     These are where there are several tasks, all read by success, of each method that has runs on all of them.
     """
     rows: list[dict[str, Any]] = []
     everywhere: dict[tuple[str, ...], list[tuple[Floats, Series]]] = defaultdict(list)
-    for task, schedules in tasks.items():
-        steps, read = read_together([each for methods in schedules.values() for each in methods.values() if each.n])
+    for panels in tasks:
+        steps, read = read_together([series for panel in panels for series in panel.present()])
         span = {"first_step": int(steps[0]), "last_step": int(steps[-1]), "evaluations": int(steps.size)}
-        for asked, methods in schedules.items():
-            for method, series in methods.items():
-                row = _named(task, *asked, method) | span
-                row |= {"score": series.score, "n": series.n, "planned": series.planned}
+        for panel in panels:
+            for series in panel.series:
+                rows.append(panel.row(series) | span)
                 if series.n:
-                    row |= score([read[series]], settings).row("mean_iqm")
-                    everywhere[(*asked, method)].append((read[series], series))
-                rows.append(row)
+                    rows[-1] |= score([read[series]], settings).row("mean_iqm")
+                    everywhere[panel.teacher, panel.feedback, series.label.method].append((read[series], series))
     together = []
     if len(tasks) > 1 and {row["score"] for row in rows} == {"success"}:
-        for key, members in everywhere.items():
+        for asked, members in everywhere.items():
             if len(members) == len(tasks):
-                counted = {name: sum(getattr(series, name) for _, series in members) for name in ("n", "planned")}
+                row = dict(zip(("teacher", "feedback", "method"), asked, strict=True))
+                row |= {name: sum(getattr(series, name) for _, series in members) for name in ("n", "planned")}
                 mean = score([values for values, _ in members], settings).row("mean_iqm")
-                together.append({**_named(EVERY_TASK, *key), "score": "success", **counted, **mean})
+                together.append({"task": EVERY_TASK, "score": "success", **row, **mean})
     return together + rows
-
-
-def _named(*words: str) -> dict[str, Any]:
-    return dict(zip((*COMPARED, "method"), words, strict=True))
 
 
 def _grid(rows: Sequence[Row]) -> Grid:
