@@ -33,15 +33,9 @@ class Rules:
 
 
 def asked_rules(until: bool, most: int | None, group: int | None, against: str | None, *, other: bool) -> Rules | None:
-    """The rules that the options ask for; None without --until-decided.
+    """The rules that the options ask for; None without --until-decided. Refuses options that do not go together.
 
-    Args:
-        until: --until-decided was given.
-        most, group, against: --max-seeds, --group and --against.
-        other: an option was given that says otherwise which runs to make.
-
-    Raises:
-        UserError: options that do not go together.
+    `most` is --max-seeds; `other` says whether an option was given that says otherwise which runs to make.
     """
     if not until:
         if (most, group, against) != (None, None, None):

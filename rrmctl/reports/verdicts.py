@@ -17,7 +17,6 @@ import numpy as np
 
 from rrm.envs.tasks import ScoreKind as Unit
 from rrmctl.errors import UserError
-from rrmctl.planning.profiles import PAPER
 from rrmctl.planning.schedules import Schedule
 from rrmctl.reports.claims import Arm, Claim, Reading, Test
 from rrmctl.reports.scores import Score, score
@@ -173,10 +172,3 @@ def _values(section: Section, series: Sequence[Series], reading: Reading) -> Ite
         if not np.isfinite(at).all():
             raise UserError(f"{each.label}: {reading.words} is not measured")
         yield at
-
-
-def at_profile(verdict: Verdict, section: Section) -> str:
-    """The verdict, with the scale where it is not the paper's and whatever else was set otherwise."""
-    words = [] if section.profile == PAPER else [f"profile {section.profile}"]
-    words += [f"{key}={value}" for key, value in section.overrides.items()]
-    return verdict + (f" ({', '.join(words)})" if words else "")

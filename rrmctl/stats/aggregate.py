@@ -62,11 +62,7 @@ def iqm_weights(n: int, kind: IqmKind) -> Floats:
 
 
 def iqm_window(n: int, kind: IqmKind) -> tuple[float, float]:
-    """Where the mean begins and ends when each of `n` ordered runs takes up a length of one; multiples of 1/4.
-
-    Raises:
-        ValueError: `n` is below one, or the kind is unknown.
-    """
+    """Where the mean begins and ends when each of `n` ordered runs takes up a length of one; multiples of 1/4."""
     if n < 1:
         raise ValueError("an interquartile mean needs at least one score")
     if kind == "rliable":
@@ -107,11 +103,7 @@ def quartiles(scores: npt.ArrayLike, *, axis: int | None = None) -> tuple[Floats
 
 
 def checked(scores: npt.ArrayLike, axis: int | None = None) -> Floats:
-    """The scores as float64 with the runs on the last axis.
-
-    Raises:
-        ValueError: there are none along the axis, or one is not finite.
-    """
+    """The scores as float64 with the runs on the last axis; refused where there are none or one is not finite."""
     values = np.asarray(scores, dtype=np.float64)
     values = values.reshape(-1) if axis is None else np.moveaxis(values, axis, -1)
     if values.shape[-1] == 0:

@@ -85,11 +85,7 @@ def common_step(
 
 
 def checked_steps(steps: npt.ArrayLike) -> Steps:
-    """The steps as int64 [T].
-
-    Raises:
-        ValueError: there are none, or they do not strictly increase.
-    """
+    """The steps as int64 [T]; refused where there are none or they do not strictly increase."""
     x = np.asarray(steps, dtype=np.int64)
     if x.ndim != 1 or x.size == 0:
         raise ValueError("a curve needs at least one evaluation step")

@@ -31,11 +31,6 @@ class Trial:
     alpha: float  #: probability of any wrong decision
     pairs: tuple[Pairing, ...]  #: the comparisons that share it
 
-    @property
-    def seeds(self) -> int:
-        """The most seeds of a method."""
-        return self.group * self.looks
-
 
 _TRIAL = {**dict.fromkeys(("group", "looks"), validation.WHOLE), "pairs": validation.LIST}
 
@@ -85,4 +80,4 @@ def begin_trial(layout: Layout, experiment: str, variant: str, trial: Trial) -> 
 def _rules(trial: Trial) -> str:
     compared = "; ".join(dict.fromkeys(f"{pair.method} against {pair.against}" for pair in trial.pairs))
     tasks = ", ".join(dict.fromkeys(pair.task for pair in trial.pairs))
-    return f"groups of {trial.group} seeds, at most {trial.seeds}, {compared} on {tasks}"
+    return f"groups of {trial.group} seeds, at most {trial.group * trial.looks}, {compared} on {tasks}"

@@ -12,13 +12,14 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from typing import Any
 
+from rrmctl.planning.profiles import PAPER
 from rrmctl.reports.captions import contents_notes, merged_facts, statistics_notes, title
 from rrmctl.reports.claims import CLAIMS
 from rrmctl.reports.columns import INTERVAL, interval, number
 from rrmctl.reports.report import Column, Grid, Report, Row, some, tabled
 from rrmctl.reports.series import Section
 from rrmctl.reports.statistics import LEVEL, Statistics
-from rrmctl.reports.verdicts import at_profile, judge
+from rrmctl.reports.verdicts import judge
 from rrmctl.store.frame import MAYBE_WHOLE, NUMBER, TEXT
 
 EXPERIMENT = None
@@ -70,14 +71,16 @@ def _report(sections: Sequence[Section], settings: Statistics) -> Report:
 
 
 def _rows(sections: Sequence[Section], settings: Statistics) -> Iterator[dict[str, Any]]:
-    """A row for each comparison of each claim."""
-    by_name = {section.experiment: section for section in sections}
+    """A row for each comparison of each claim; verdicts name a scale that is not the paper's, and overrides."""
+    by_name, first = {section.experiment: section for section in sections}, sections[0]
+    scale = [] if first.profile == PAPER else [f"profile {first.profile}"]
+    scale += [f"{key}={value}" for key, value in first.overrides.items()]
     for claim in CLAIMS:
         judgement = judge(claim, by_name, settings)
         for finding in judgement.findings:
             row: dict[str, Any] = {
                 "claim": claim.name, "says": claim.says, "where": claim.where, "asks": claim.experiment,
-                "verdict": at_profile(judgement.verdict, sections[0]), "task": finding.task,
+                "verdict": judgement.verdict + (f" ({', '.join(scale)})" if scale else ""), "task": finding.task,
                 "comparison": str(finding.test), "reading": finding.test.reading.words, "unit": finding.unit, "n": 0,
                 "comparison_verdict": finding.verdict, "why": finding.why, "decides": finding is judgement.deciding,
             }  # fmt: skip
