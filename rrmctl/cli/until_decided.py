@@ -47,7 +47,7 @@ def asked_rules(until: bool, most: int | None, group: int | None, against: str |
 
     size = group or Design().group
     if most % size:
-        fitting = [str(each) for each in (most // size * size, (most // size + 1) * size) if each]
+        fitting = [str(seeds) for seeds in (most // size * size, (most // size + 1) * size) if seeds]
         raise UserError(
             f"--max-seeds {most} is no whole number of groups of {size} seeds",
             f"--max-seeds {' or '.join(fitting)}, or another --group",
@@ -89,11 +89,11 @@ def until_decided(
         if code is not Exit.DONE or not done:  # runs that failed before are not tried again unasked
             tell("Nothing more is decided before these runs are done; the same command goes on.")
             break
-        found = _look(layout, plan, trial, here)
+        contests = _look(layout, plan, trial, here)
         tell(f"Look {look} of {trial.looks}, after {len(here)} seeds:")
-        for contest in found.contests:
+        for contest in contests.all:
             tell(f"  {_name(contest.pair)}: {_said(contest, trial.group)}")
-        left = [contest.pair for contest in found.open]
+        left = [contest.pair for contest in contests.open]
         if not left:
             break
     assert sweep is not None  # there is at least one look
@@ -118,15 +118,15 @@ def _look(layout: Layout, plan: Plan, trial: Trial, seeds: list[int]) -> Contest
     from rrmctl.reports.select import read_sections
 
     sections = read_sections(layout.root, plan.experiment)
-    (section,) = (each for each in sections if each.variant == plan.variant)
-    found = decide(section.accepted(), trial, seeds=seeds)
-    for contest in found.open:
+    (section,) = (section for section in sections if section.variant == plan.variant)
+    contests = decide(section.accepted(), trial, seeds=seeds)
+    for contest in contests.open:
         if contest.verdict.looks * trial.group < len(seeds):
             raise UserError(
                 f"{_name(contest.pair)}: a run is done, but cannot be scored",
                 f"`{rrmctl('report', 'power', plan.experiment, results=layout.root)}` says which and why",
             )
-    return found
+    return contests
 
 
 def _name(pair: Pairing) -> str:

@@ -74,7 +74,9 @@ def absent_notes(section: Section, *, short: bool = False) -> Iterator[str]:
 
     Where words are dear (`short`) with methods together that lack the same seeds, and teachers where needed.
     """
-    asking = {(each.label.task, *each.label[2:]) for each in section.series if each.label.teacher != NOTHING_ASKED}
+    asking = {
+        (series.label.task, *series.label[2:]) for series in section.series if series.label.teacher != NOTHING_ASKED
+    }
     several = {task for task, count in Counter(task for task, *_ in asking).items() if count > 1}
     by_state: dict[str, dict[Label, list[int]]] = defaultdict(lambda: defaultdict(list))
     for absent in section.absent:
@@ -143,8 +145,10 @@ def statistics_notes(section: Section, settings: Statistics) -> Iterator[str]:
         yield f"IQM: {_KIND_IN_WORDS[settings.kind]}."
     if settings.replicates != REPLICATES:
         yield f"Intervals: {settings.replicates:,} replicates."
-    counts = {each.n for each in section.series if min(COVERAGE) <= each.n < _ENOUGH}
+    counts = {series.n for series in section.series if min(COVERAGE) <= series.n < _ENOUGH}
     if counts:
-        known = sorted({max(n for n in COVERAGE if n <= count) for count in counts})
-        yield f"A {SURE} interval of so few seeds holds the truth less often: about {_covered(known)}."
-    yield from (f"Evaluation: {each}." for each in section.evaluation if not _USUAL_EVALUATION.startswith(each))
+        measured = sorted({max(n for n in COVERAGE if n <= count) for count in counts})
+        yield f"A {SURE} interval of so few seeds holds the truth less often: about {_covered(measured)}."
+    yield from (
+        f"Evaluation: {protocol}." for protocol in section.evaluation if not _USUAL_EVALUATION.startswith(protocol)
+    )

@@ -140,18 +140,18 @@ def iqm_table(section: Section, settings: Statistics = DEFAULTS) -> pd.DataFrame
 
 def iqm_rows(section: Section, settings: Statistics) -> list[dict[str, Any]]:
     """Its rows; what is missing is not there."""
-    panels, made = section.panels(), curves(section, settings)
-    rows = [row for panel in panels for row in _panel_rows(panel, made)]
+    panels, by_series = section.panels(), curves(section, settings)
+    rows = [row for panel in panels for row in _panel_rows(panel, by_series)]
     return rows + [row for group in across_tasks(panels) for row in _group_rows(group, settings)]
 
 
-def _panel_rows(panel: Panel, made: Mapping[Series, Curve]) -> Iterator[dict[str, Any]]:
+def _panel_rows(panel: Panel, by_series: Mapping[Series, Curve]) -> Iterator[dict[str, Any]]:
     read = panel.read_at()
     rule = "final" if panel.score == "return" else "first" if read.reached else "last"
     for series in panel.series:
         row = panel.row(series) | {"step": read.step, "step_rule": rule}
-        if series in made:
-            curve = made[series]
+        if series in by_series:
+            curve = by_series[series]
             at, area = int(np.searchsorted(series.steps, read.step)), curve.areas[panel.teacher, panel.feedback]
             here = {"iqm": curve.iqm.estimate, "low": curve.iqm.low, "high": curve.iqm.high}
             row |= {name: float(values[at]) for name, values in (here | {"q25": curve.q25, "q75": curve.q75}).items()}
@@ -180,11 +180,11 @@ def _group_rows(group: Sequence[Panel], settings: Statistics) -> Iterator[dict[s
     teacher, feedback = (names.pop() if len(names) == 1 else otherwise for names, otherwise in named)
     for method in (name for name in by_task[0] if all(name in methods for methods in by_task)):
         series = [methods[method] for methods in by_task]
-        scores = [at(each, panel.read_at().step) for each, panel in zip(series, group, strict=True)]
+        scores = [at(one, panel.read_at().step) for one, panel in zip(series, group, strict=True)]
         q25, q75 = quartiles(np.concatenate(scores))
         yield {
             "task": ALL_TASKS, "teacher": teacher, "feedback": feedback, "method": method, "score": "success",
-            "step_rule": "each", "q25": float(q25), "q75": float(q75), "n": sum(each.n for each in series),
-            "planned": sum(each.planned for each in series),
+            "step_rule": "each", "q25": float(q25), "q75": float(q75), "n": sum(one.n for one in series),
+            "planned": sum(one.planned for one in series),
             **score(scores, settings, pooled=True).row(),
         }  # fmt: skip

@@ -38,18 +38,18 @@ class Contests:
     """All comparisons that share one level."""
 
     design: Design
-    contests: tuple[Contest, ...]
+    all: tuple[Contest, ...]
 
     @property
     def remaining(self) -> Design:
         """The design of a comparison that is not separated, with the share of the level that is left for it."""
-        left = sum(not contest.verdict.separated for contest in self.contests)
+        left = sum(not contest.verdict.separated for contest in self.all)
         return replace(self.design, alpha=self.design.alpha / max(1, left))
 
     @property
     def open(self) -> list[Contest]:
         """Those that more seeds decide."""
-        return [contest for contest in self.contests if contest.verdict.decision == "open"]
+        return [contest for contest in self.all if contest.verdict.decision == "open"]
 
 
 def every_pair(labels: Iterable[Label]) -> list[Pairing]:
@@ -64,15 +64,15 @@ def against(labels: Iterable[Label], method: str | None) -> list[Pairing]:
     Raises:
         UserError: a panel lacks the method, or has no other.
     """
-    found = []
+    pairs = []
     for panel in panels(labels).values():
-        known = {label.method: label for label in panel}
+        methods = {label.method: label for label in panel}
         one = method or panel[0].method
-        if one not in known or len(known) < 2:
-            what = f"there is no {one}" if one not in known else f"{one} is the only method"
-            raise UserError(f"{panel[0].task}: {what}, so nothing is compared", f"it has: {', '.join(known)}")
-        found += [_pair(other, known[one]) for other in panel if other.method != one]
-    return list(dict.fromkeys(found))
+        if one not in methods or len(methods) < 2:
+            what = f"there is no {one}" if one not in methods else f"{one} is the only method"
+            raise UserError(f"{panel[0].task}: {what}, so nothing is compared", f"it has: {', '.join(methods)}")
+        pairs += [_pair(other, methods[one]) for other in panel if other.method != one]
+    return list(dict.fromkeys(pairs))
 
 
 def decide(section: Section, trial: Trial | None, *, seeds: Collection[int] | None = None) -> Contests:
@@ -90,13 +90,13 @@ def decide(section: Section, trial: Trial | None, *, seeds: Collection[int] | No
         design = Design(looks=max(usual.looks, -(-planned // usual.group)))
     else:
         pairs, design = list(trial.pairs), Design(group=trial.group, looks=trial.looks, alpha=trial.alpha)
-    known = {series.label: _scores(series, seeds) for series in section.series}
+    by_label = {series.label: _scores(series, seeds) for series in section.series}
     kinds = {series.label.task: series.score for series in section.series}
     sides = []
     for pair in pairs:
         asking = [Label(pair.task, method, pair.teacher, pair.feedback) for method in (pair.method, pair.against)]
-        labels = [label if label in known else Label(label.task, label.method) for label in asking]
-        scores = [known.get(label, {}) for label in labels]
+        labels = [label if label in by_label else Label(label.task, label.method) for label in asking]
+        scores = [by_label.get(label, {}) for label in labels]
         if not all(scores):  # nothing is said of one alone
             scores = [{}, {}]
         order = _order(section, labels, seeds)
@@ -119,21 +119,21 @@ def without_score(series: Series) -> list[str]:
 
 def _pair(method: Label, other: Label) -> Pairing:
     """Of two labels of a panel; its teacher and feedback are those of the one that asks."""
-    asked = other if method.teacher == NOTHING_ASKED else method
-    return Pairing(asked.task, asked.teacher, asked.feedback, method.method, other.method)
+    asking = other if method.teacher == NOTHING_ASKED else method
+    return Pairing(asking.task, asking.teacher, asking.feedback, method.method, other.method)
 
 
 def _scores(series: Series, seeds: Collection[int] | None) -> dict[int, float]:
     """The number of each finished run by its seed, of its own evaluations alone; none where one is not a number."""
     if not series.finished:
         return {}
-    found = {}
+    scores = {}
     for seed in sorted(set(series.rows["seed"].tolist()) if seeds is None else seeds):
         own = series.rows[series.rows["seed"] == seed].sort_values("step")
         values = own[SCORE_COLUMN[series.score]].to_numpy(dtype=np.float64)
         if values.size and np.isfinite(values).all():
-            found[seed] = float(area_under_curve(own["step"], values))
-    return found
+            scores[seed] = float(area_under_curve(own["step"], values))
+    return scores
 
 
 def _order(section: Section, labels: Collection[Label], seeds: Collection[int] | None) -> list[int]:

@@ -38,8 +38,8 @@ class Score:
 
     def row(self, name: str = "iqm") -> dict[str, float]:
         """The number by this name and its interval, as a row of a table has them."""
-        found = self.estimate()
-        return {name: self.point, "low": float(found.low), "high": float(found.high)}
+        estimated = self.estimate()
+        return {name: self.point, "low": float(estimated.low), "high": float(estimated.high)}
 
 
 def score(
@@ -60,12 +60,12 @@ def score(
     """
     middle = statistic or Iqm(settings.kind)
     rng, sizes = np.random.default_rng([BOOTSTRAP_SEED, stream] if stream else BOOTSTRAP_SEED), list(map(len, tasks))
-    groups = [tasks] if pooled else [[each] for each in tasks]
+    groups = [tasks] if pooled else [[values] for values in tasks]
     points = [middle(np.concatenate(group).T).mean() for group in groups]
     draws = np.full(1, np.nan)
     if interval_possible(sizes):
         drawn = [resample(group, middle, rng=rng, replicates=settings.replicates) for group in groups]
-        draws = np.asarray(np.mean([each.mean(axis=-1) for each in drawn], axis=0))
+        draws = np.asarray(np.mean([replicates.mean(axis=-1) for replicates in drawn], axis=0))
     return Score(float(np.mean(points)), draws, min(sizes))
 
 
@@ -80,8 +80,8 @@ def read_together(series: Sequence[Series]) -> tuple[Steps, dict[Series, Floats]
     Raises:
         UserError: there is no such step.
     """
-    steps = reduce(np.intersect1d, (each.steps for each in series))
+    steps = reduce(np.intersect1d, (one.steps for one in series))
     if not steps.size:
         task = series[0].label.task
         raise UserError(f"{task}: no evaluation step is common to all schedules and methods", "let the runs go on")
-    return steps, {each: at_steps(each, steps) for each in series}
+    return steps, {one: at_steps(one, steps) for one in series}

@@ -72,7 +72,7 @@ class Panel:
 
     def present(self) -> tuple[Series, ...]:
         """The series with at least one run."""
-        return tuple(each for each in self.series if each.n)
+        return tuple(series for series in self.series if series.n)
 
     def steps(self) -> Steps:
         """Evaluation steps common to all series present.
@@ -139,17 +139,17 @@ class Section:
 
     def looks(self) -> Looks:
         """How its methods are drawn, with or without runs."""
-        return styles(each.label.method for each in self.series)
+        return styles(series.label.method for series in self.series)
 
     @property
     def contained(self) -> int:
         """Planned runs that are in it."""
-        return len({run for each in self.series for run in each.runs})
+        return len({run for series in self.series for run in series.runs})
 
     def panels(self) -> tuple[Panel, ...]:
         """The comparisons, in the order of the plan; those without any run are left out."""
-        known = {series.label: series for series in self.series}
-        groups = ((where, tuple(known[label] for label in labels)) for where, labels in panels(known).items())
+        by_label = {series.label: series for series in self.series}
+        groups = ((where, tuple(by_label[label] for label in labels)) for where, labels in panels(by_label).items())
         return tuple(Panel(*where, own[0].score, own) for where, own in groups if any(series.n for series in own))
 
 

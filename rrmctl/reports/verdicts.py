@@ -117,8 +117,8 @@ def _measured(test: Test, tasks: Sequence[str], section: Section, settings: Stat
         score(values, settings, pooled=pooled, stream=stream, statistic=statistic)
         for stream, values in enumerate(zip(*read, strict=True), start=1)
     ]
-    found = scores[0] - scores[1] if len(scores) > 1 else scores[0]
-    return found, test.reading.unit or series[0].score
+    measured = scores[0] - scores[1] if len(scores) > 1 else scores[0]
+    return measured, test.reading.unit or series[0].score
 
 
 def _deviation(scores: Floats) -> Floats:
@@ -150,25 +150,25 @@ def _series(section: Section, task: str, words: str) -> Series:
 
 def _is(budget: tuple[float, float], schedule: Schedule, schedules: Sequence[Schedule]) -> bool:
     """Whether a schedule is this proportion of the largest session and the shortest wait among a task's."""
-    batch, every = max(each.batch for each in schedules), min(each.every for each in schedules)
+    batch, every = max(schedule.batch for schedule in schedules), min(schedule.every for schedule in schedules)
     shares = (schedule.batch / batch, schedule.every / every)
     return all(math.isclose(share, wanted, rel_tol=0.1) for share, wanted in zip(shares, budget, strict=True))
 
 
 def _values(section: Section, series: Sequence[Series], reading: Reading) -> Iterator[Floats]:
     """What is read of each series [S, T], at the same steps of all; the error says why there is nothing."""
-    measured = [reading.of(each) for each in series]
+    measured = [reading.of(one) for one in series]
     steps = reduce(np.intersect1d, (own for own, _ in measured))
     if reading.steps == "common":
-        panels = [panel for panel in section.panels() if any(each in panel.series for each in series)]
+        panels = [panel for panel in section.panels() if any(one in panel.series for one in series)]
         steps = steps[steps == panels[0].read_at().step]
     elif steps.size:
         steps = steps[steps <= reading.until * steps[-1]]
         steps = steps[-1:] if reading.steps == "last" else steps
     if not steps.size:
         raise UserError(f"{series[0].label}: no evaluation at {reading.words}")
-    for (own, values), each in zip(measured, series, strict=True):
+    for (own, values), one in zip(measured, series, strict=True):
         at = values[:, np.searchsorted(own, steps)]
         if not np.isfinite(at).all():
-            raise UserError(f"{each.label}: {reading.words} is not measured")
+            raise UserError(f"{one.label}: {reading.words} is not measured")
         yield at

@@ -65,13 +65,13 @@ def begin_trial(layout: Layout, experiment: str, variant: str, trial: Trial) -> 
     path = layout.trial(experiment, variant)
     with locked(layout.sweep_lock(experiment)):
         remove_leftovers(path.parent)
-        known = read_trial(layout, experiment, variant)
-        if known is None:
+        begun = read_trial(layout, experiment, variant)
+        if begun is None:
             pairs = [pair._asdict() for pair in trial.pairs]
             write_json(path, {"schema_version": SCHEMA_VERSION, **asdict(trial), "pairs": pairs})
-        elif known != trial:
+        elif begun != trial:
             raise UserError(
-                f"{path}: a test with other rules was begun here: {_rules(known)}; now asked for: {_rules(trial)}",
+                f"{path}: a test with other rules was begun here: {_rules(begun)}; now asked for: {_rules(trial)}",
                 "the options of then go on with it. Rules that change with what was seen control no error: "
                 "begin another test in another --results folder",
             )

@@ -24,13 +24,13 @@ OPTIONS = ("plus_minus",)
 
 def make(sections: Sequence[Section], settings: Statistics) -> list[Report]:
     """The reports of all other kinds, in the order of their names."""
-    made = []
+    reports = []
     for kind, entry in tables.kinds().items():
         if entry.path != __name__:
             for report in _reports(entry.load().make, sections, settings):
                 title = report.title if report.title.startswith(kind) else f"{kind}: {report.title}"
-                made.append(dataclasses.replace(report, title=title, facts=report.facts | {"table": kind}))
-    return made
+                reports.append(dataclasses.replace(report, title=title, facts=report.facts | {"table": kind}))
+    return reports
 
 
 def _reports(
@@ -46,6 +46,6 @@ def _reports(
     except UserError as error:
         if len(sections) > 1:
             return [report for section in sections for report in _reports(make, [section], settings)]
-        problem, known = str(error), facts(sections[0], settings)
-        known["problems"] = [*known["problems"], problem]
-        return [Report(title_of(sections[0]), pd.DataFrame(), Grid((), ()), (problem,), known)]
+        problem, said = str(error), facts(sections[0], settings)
+        said["problems"] = [*said["problems"], problem]
+        return [Report(title_of(sections[0]), pd.DataFrame(), Grid((), ()), (problem,), said)]

@@ -49,14 +49,16 @@ COLUMNS = (
 
 def make(sections: Sequence[Section], settings: Statistics) -> list[Report]:
     """A table for each profile and set of overrides of the experiments that the claims are about."""
-    asked = list(dict.fromkeys(claim.experiment for claim in CLAIMS))
+    experiments = list(dict.fromkeys(claim.experiment for claim in CLAIMS))
     variants: dict[tuple[str, str], list[Section]] = {}
     for section in sections:
-        if section.experiment in asked:
+        if section.experiment in experiments:
             variant = (section.profile, repr(sorted(section.overrides.items())))
             variants.setdefault(variant, []).append(section)
-    made = [_report(alike, settings) for alike in variants.values()]
-    return some(made, sections, "the paper's prose claims nothing of it", f"its claims are about {', '.join(asked)}")
+    reports = [_report(alike, settings) for alike in variants.values()]
+    return some(
+        reports, sections, "the paper's prose claims nothing of it", f"its claims are about {', '.join(experiments)}"
+    )
 
 
 def _report(sections: Sequence[Section], settings: Statistics) -> Report:

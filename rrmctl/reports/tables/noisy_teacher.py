@@ -57,12 +57,12 @@ COLUMNS = (
 
 def make(sections: Sequence[Section], settings: Statistics) -> list[Report]:
     """A table for each section with runs under a teacher who errs."""
-    made, grid = [], _matrix if settings.plus_minus else None
+    reports, grid = [], _matrix if settings.plus_minus else None
     for section in sections:
         if rows := _rows(section, settings):
-            made.append(report(section, settings, COLUMNS, rows, grid=grid, notes=_notes(section, rows)))
+            reports.append(report(section, settings, COLUMNS, rows, grid=grid, notes=_notes(section, rows)))
     hint = "`rrmctl run noisy-teacher` makes them; `rrmctl report final` is the table for other experiments"
-    return some(made, sections, "there are no runs under a teacher who errs", hint)
+    return some(reports, sections, "there are no runs under a teacher who errs", hint)
 
 
 def _rows(section: Section, settings: Statistics) -> list[dict[str, Any]]:

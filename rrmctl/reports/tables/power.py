@@ -75,15 +75,15 @@ def make(sections: Sequence[Section], settings: Statistics) -> list[Report]:
 
 
 def _report(section: Section, settings: Statistics) -> Report:
-    found = decide(section, section.trial)
-    design, refused = found.design, [why for series in section.series for why in without_score(series)]
+    contests = decide(section, section.trial)
+    design, refused = contests.design, [why for series in section.series for why in without_score(series)]
     rules = {
-        "group": design.group, "looks": design.looks, "alpha": design.alpha, "comparisons": len(found.contests),
+        "group": design.group, "looks": design.looks, "alpha": design.alpha, "comparisons": len(contests.all),
         "fixed_in_advance": section.trial is not None,
     }  # fmt: skip
-    rows = [_row(contest, found, settings) for contest in found.contests if contest.ours.size]
+    rows = [_row(contest, contests, settings) for contest in contests.all if contest.ours.size]
     problems = [*section.problems, *refused]
-    notes = (*refused, *_notes(section, found))
+    notes = (*refused, *_notes(section, contests))
     return report(section, settings, COLUMNS, rows, notes=notes, test=rules, problems=problems)
 
 
@@ -106,7 +106,7 @@ def _row(contest: Contest, contests: Contests, settings: Statistics) -> dict[str
 def _notes(section: Section, contests: Contests) -> Iterator[str]:
     design = contests.design
     yield (
-        f"Decisions: after every {design.group} seeds, at most {design.looks} times, over {len(contests.contests)} "
+        f"Decisions: after every {design.group} seeds, at most {design.looks} times, over {len(contests.all)} "
         f"comparisons with one error rate of {100 * design.alpha:g} %."
     )
     if section.trial is None:

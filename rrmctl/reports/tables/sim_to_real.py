@@ -41,16 +41,16 @@ COLUMNS = (
 
 def make(sections: Sequence[Section], settings: Statistics) -> list[Report]:
     """A table for each section with runs of the simulated robot."""
-    made = []
+    reports = []
     for section in sections:
         note = (
             f"Paper: {published.source(EXPERIMENT)}, on a physical robot; ours is of the simulation, profile "
             f"{section.profile}."
         )
         if rows := list(_rows(section, settings)):
-            made.append(report(section, settings, COLUMNS, rows, grid=_grid, notes=[note]))
+            reports.append(report(section, settings, COLUMNS, rows, grid=_grid, notes=[note]))
     lacking = f"there are no runs of {', '.join(published.deployed_tasks())}"
-    return some(made, sections, lacking, "`rrmctl list` names what there is to run")
+    return some(reports, sections, lacking, "`rrmctl list` names what there is to run")
 
 
 def _rows(section: Section, settings: Statistics) -> Iterator[dict[str, Any]]:
