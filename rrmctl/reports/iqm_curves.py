@@ -155,7 +155,7 @@ def _panel_rows(panel: Panel, by_series: Mapping[Series, Curve]) -> Iterator[dic
             at, area = int(np.searchsorted(series.steps, read.step)), curve.areas[panel.teacher, panel.feedback]
             here = {"iqm": curve.iqm.estimate, "low": curve.iqm.low, "high": curve.iqm.high}
             row |= {name: float(values[at]) for name, values in (here | {"q25": curve.q25, "q75": curve.q75}).items()}
-            row |= {"auc": float(area.estimate), "auc_low": float(area.low), "auc_high": float(area.high)}
+            row |= area.row("auc", "auc_")
         yield row
 
 
@@ -186,5 +186,5 @@ def _group_rows(group: Sequence[Panel], settings: Statistics) -> Iterator[dict[s
             "task": ALL_TASKS, "teacher": teacher, "feedback": feedback, "method": method, "score": "success",
             "step_rule": "each", "q25": float(q25), "q75": float(q75), "n": sum(one.n for one in series),
             "planned": sum(one.planned for one in series),
-            **score(scores, settings, pooled=True).row(),
+            **score(scores, settings, pooled=True).estimate().row("iqm"),
         }  # fmt: skip

@@ -36,11 +36,6 @@ class Score:
         """With its percentile interval."""
         return estimate(self.point, self.draws, n=self.n, level=level)
 
-    def row(self, name: str = "iqm") -> dict[str, float]:
-        """The number by this name and its interval, as a row of a table has them."""
-        estimated = self.estimate()
-        return {name: self.point, "low": float(estimated.low), "high": float(estimated.high)}
-
 
 def score(
     tasks: Sequence[Floats],

@@ -4,11 +4,10 @@ Within each task whole runs are drawn with replacement, independently of the oth
 of all of them pooled (Agarwal et al. 2021, as in rliable). A run is drawn with its whole curve, so that the replicates
 of neighbouring steps belong together and the area under the curve has an interval too.
 
-The percentile interval takes the replicates' quantiles at 2.5 % and 97.5 %. BCa (Efron 1987) moves these two levels: by
-how far the estimate lies from the replicates' median, and by how fast the spread of the statistic changes with its
-value, which is read from the estimates without one run each. With several strata each run is left out of its own
-stratum and compared with the others left out there. It needs a statistic that changes smoothly with the runs: means and
-interquartile means, not medians.
+The percentile interval takes the replicates' quantiles at 2.5 % and 97.5 %. BCa (Efron 1987, docs/statistics.md) moves
+these levels: by how far the estimate lies from the replicates' median, and by how fast the spread of the statistic
+changes with its value, which is read from the estimates without one run each. It needs a statistic that changes
+smoothly with the runs: means and interquartile means, not medians.
 """
 
 from __future__ import annotations
@@ -46,6 +45,10 @@ class Estimate:
     high: Floats
     n: int  #: runs, over all strata
     method: str  #: how the interval was made, or why there is none
+
+    def row(self, name: str, ends: str = "") -> dict[str, float]:
+        """A single number by this name, and its interval's ends, whose names begin with another."""
+        return {name: float(self.estimate), f"{ends}low": float(self.low), f"{ends}high": float(self.high)}
 
     def noting(self, remark: str) -> Estimate:
         """The same, its method followed by a remark."""

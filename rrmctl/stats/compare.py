@@ -1,10 +1,8 @@
 """Two methods beside one another: the difference of a statistic, and how often one is better.
 
-Runs of two methods with equal seeds share the streams of environment and teacher, but not what is drawn from them: the
-policies differ after the first update, and with them every state, query and answer. Seeds are therefore not pairs by
-default; both methods are resampled on their own. `paired=True` draws the same seeds for both, for runs that do have
-more in common (one start network, one set of demonstrations); where they have not, it gains nothing, and with few seeds
-it takes a chance correlation for a real one.
+Seeds are no pairs by default (docs/statistics.md): both methods are resampled on their own. `paired=True` draws the
+same seeds for both, for runs that do have more in common (one start network, one set of demonstrations); where they
+have not, it gains nothing, and with few seeds it takes a chance correlation for a real one.
 """
 
 from __future__ import annotations

@@ -9,13 +9,7 @@ level that another left, a comparison may have crossed its boundary at an earlie
 
 Groups, statistic, splits and the even spending of the level are those of Mathieu, Della Vecchia, Shilova, Centa de
 Medeiros, Kohler, Maillard and Preux, "AdaStop: adaptive statistical testing for sound comparisons of Deep RL agents",
-TMLR 2024. AdaStop's step-down compares the largest statistic with the largest under the splits, the same splits for all
-comparisons. Holm's costs some power, needs no common scale for tasks of different units, and holds for few seeds and
-scores of any shape, where the comparisons depend on one another otherwise than under common splits.
-
-What is controlled: where methods are compared whose scores have one distribution, the probability that any such
-comparison is ever decided is at most alpha. Methods that differ in spread alone are not alike: that, too, may be what
-is found. Nothing is said of how many real differences are missed.
+TMLR 2024; why the step-down is Holm's, and what is controlled and what is not, is in docs/statistics.md.
 """
 
 from __future__ import annotations

@@ -87,6 +87,5 @@ def _rows(sections: Sequence[Section], settings: Statistics) -> Iterator[dict[st
                 "comparison_verdict": finding.verdict, "why": finding.why, "decides": finding is judgement.deciding,
             }  # fmt: skip
             if finding.found is not None:
-                numbers = (finding.found.estimate, finding.found.low, finding.found.high)
-                row |= dict(zip(("found", "low", "high"), map(float, numbers), strict=True)) | {"n": finding.found.n}
+                row |= finding.found.row("found") | {"n": finding.found.n}
             yield row

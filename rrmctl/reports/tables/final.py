@@ -37,6 +37,6 @@ def final_rows(panel: Panel, settings: Statistics) -> Iterator[dict[str, Any]]:
         row = panel.row(series) | {"step": step}
         if series.n:
             values = at(series, step)
-            row |= score([values], settings).row()
+            row |= score([values], settings).estimate().row("iqm")
             row |= dict(zip(("q25", "q75"), map(float, quartiles(values)), strict=True))
         yield row

@@ -80,7 +80,7 @@ def _rows(tasks: Sequence[Sequence[Panel]], settings: Statistics) -> list[dict[s
             for series in panel.series:
                 rows.append(panel.row(series) | span)
                 if series.n:
-                    rows[-1] |= score([read[series]], settings).row("mean_iqm")
+                    rows[-1] |= score([read[series]], settings).estimate().row("mean_iqm")
                     everywhere[panel.teacher, panel.feedback, series.label.method].append((read[series], series))
     together = []
     if len(tasks) > 1 and {row["score"] for row in rows} == {"success"}:
@@ -88,7 +88,7 @@ def _rows(tasks: Sequence[Sequence[Panel]], settings: Statistics) -> list[dict[s
             if len(members) == len(tasks):
                 row = dict(zip(("teacher", "feedback", "method"), asked, strict=True))
                 row |= {name: sum(getattr(series, name) for _, series in members) for name in ("n", "planned")}
-                mean = score([values for values, _ in members], settings).row("mean_iqm")
+                mean = score([values for values, _ in members], settings).estimate().row("mean_iqm")
                 together.append({"task": EVERY_TASK, "score": "success", **row, **mean})
     return together + rows
 

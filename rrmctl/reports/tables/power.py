@@ -95,8 +95,7 @@ def _row(contest: Contest, contests: Contests, settings: Statistics) -> dict[str
     ahead = outlook(contest.tested, verdict, contests.remaining, rng=rng[2]) if verdict.decision == "open" else None
     return {
         **contest.pair._asdict(), "score": contest.score, "n": contest.ours.size, "n_against": contest.theirs.size,
-        "difference": float(apart.estimate), "low": float(apart.low), "high": float(apart.high),
-        "improvement": float(wins.estimate), "improvement_low": float(wins.low), "improvement_high": float(wins.high),
+        **apart.row("difference"), **wins.row("improvement", "improvement_"),
         "decision": DECISIONS[verdict.decision], "seeds": verdict.looks * contests.design.group,
         "more": ahead.more if ahead else None, "chance": ahead.share if ahead else np.nan,
         "most": contests.design.seeds,

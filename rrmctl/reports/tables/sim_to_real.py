@@ -72,7 +72,7 @@ def _row(series: Series, checkpoint: Checkpoint, kind: ScoreKind, profile: str, 
         steps, values = finite(*series.measure(SCORE_COLUMN[kind]))
         at = _position(series, steps, checkpoint, profile)
         if at is not None:
-            row |= {"step": int(steps[at]), "n": series.n, **score([values[:, [at]]], settings).row()}
+            row |= {"step": int(steps[at]), "n": series.n, **score([values[:, [at]]], settings).estimate().row("iqm")}
             row["difference"] = row["iqm"] - theirs
     return row
 
