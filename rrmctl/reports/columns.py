@@ -99,9 +99,23 @@ def pivoted(
     return Grid(header, tuple(lines), len(shown), highest(entries))
 
 
-def scored(name: str, heading: str, *, best: bool = False) -> Column:
-    """A score's column."""
-    return Column(name, NUMBER, heading, lambda row: number(row[name], row["score"]), best=COMPARED if best else ())
+def estimated(
+    name: str,
+    heading: str,
+    ends: str = "",
+    over: str | None = INTERVAL,
+    *,
+    score: Callable[[Row], ScoreKind] = lambda row: row["score"],
+    n: Callable[[Row], int] = lambda row: row["n"],
+    best: bool = False,
+) -> tuple[Column, Column, Column]:
+    """The columns of `Estimate.row(name, ends)`: a number, and its interval with a heading of its own."""
+    low, high = f"{ends}low", f"{ends}high"
+    return (
+        Column(name, NUMBER, heading, lambda row: number(row[name], score(row)), best=COMPARED if best else ()),
+        Column(low, NUMBER, over, lambda row: interval(row[low], row[high], score(row), n(row))),
+        Column(high, NUMBER),
+    )
 
 
 def step(row: Row) -> str:
@@ -111,7 +125,7 @@ def step(row: Row) -> str:
 
 #: What tells one comparison of methods from another.
 COMPARED = ("task", "teacher", "feedback")
-#: Columns of many tables: of which runs a row is, at which step it is read, its interval, quartiles and number of runs.
+#: Columns of many tables: of which runs a row is, at which step it is read, quartiles and number of runs.
 PLACE = (
     Column("task", TEXT, "Task"),
     Column("teacher", TEXT, "Teacher", apart=("task",)),
@@ -119,10 +133,6 @@ PLACE = (
 )
 METHOD, SCORE = Column("method", TEXT, "Method"), Column("score")
 STEP = Column("step", WHOLE, "Step", step)
-ENDS = (
-    Column("low", NUMBER, INTERVAL, lambda row: interval(row["low"], row["high"], row["score"], row["n"])),
-    Column("high", NUMBER),
-)
 QUARTILES = (
     Column("q25", NUMBER, "25-75 %", lambda row: spread(row["q25"], row["q75"], row["score"], "{}..{}")),
     Column("q75", NUMBER),

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from rrmctl.errors import UserError
-from rrmctl.reports.columns import ENDS, METHOD, PLACE, QUARTILES, RUNS, SCORE, scored
+from rrmctl.reports.columns import METHOD, PLACE, QUARTILES, RUNS, SCORE, estimated
 from rrmctl.reports.report import NOTHING, Column, Row
 from rrmctl.reports.scores import at, score
 from rrmctl.reports.series import Panel, Section, Series
@@ -55,8 +55,7 @@ def _step(row: Row) -> str:
 #: Of the table.
 COLUMNS = (
     *PLACE, METHOD, SCORE, Column("step", MAYBE_WHOLE, "Step", _step), Column("step_rule"),
-    scored("iqm", "IQM", best=True), *ENDS, *QUARTILES, *RUNS,
-    scored("auc", "AUC"), Column("auc_low", NUMBER), Column("auc_high", NUMBER),
+    *estimated("iqm", "IQM", best=True), *QUARTILES, *RUNS, *estimated("auc", "AUC", "auc_", None),
 )  # fmt: skip
 
 

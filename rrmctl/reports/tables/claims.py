@@ -15,12 +15,12 @@ from typing import Any
 from rrmctl.planning.profiles import PAPER
 from rrmctl.reports.captions import contents_notes, merged_facts, statistics_notes, title
 from rrmctl.reports.claims import CLAIMS
-from rrmctl.reports.columns import INTERVAL, interval, number
+from rrmctl.reports.columns import estimated
 from rrmctl.reports.report import Column, Grid, Report, Row, some, tabled
 from rrmctl.reports.series import Section
 from rrmctl.reports.statistics import LEVEL, Statistics
 from rrmctl.reports.verdicts import judge
-from rrmctl.store.frame import MAYBE_WHOLE, NUMBER, TEXT
+from rrmctl.store.frame import MAYBE_WHOLE, TEXT
 
 EXPERIMENT = None
 EXPLAINED = (
@@ -40,10 +40,8 @@ COLUMNS = (
     Column("claim", TEXT, "Experiment", lambda row: row["asks"]), Column("says", TEXT, "Claim"), Column("where"),
     Column("asks"), Column("verdict", TEXT, "Verdict"), Column("task"),
     Column("comparison", TEXT, "Rests on", _comparison), Column("reading"), Column("unit"),
-    Column("found", NUMBER, "Found", lambda row: number(row["found"], row["unit"])),
-    Column("low", NUMBER, INTERVAL, lambda row: interval(row["low"], row["high"], row["unit"], row["n"])),
-    Column("high", NUMBER), Column("n", MAYBE_WHOLE, "n"), Column("comparison_verdict"), Column("why"),
-    Column("decides", "bool"),
+    *estimated("found", "Found", score=lambda row: row["unit"]), Column("n", MAYBE_WHOLE, "n"),
+    Column("comparison_verdict"), Column("why"), Column("decides", "bool"),
 )  # fmt: skip
 
 

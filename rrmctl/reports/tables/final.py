@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from typing import Any
 
-from rrmctl.reports.columns import ENDS, METHOD, PLACE, QUARTILES, RUNS, SCORE, STEP, scored
+from rrmctl.reports.columns import METHOD, PLACE, QUARTILES, RUNS, SCORE, STEP, estimated
 from rrmctl.reports.report import Report, report
 from rrmctl.reports.scores import at, score
 from rrmctl.reports.series import Panel, Section
@@ -19,7 +19,7 @@ from rrmctl.stats import quartiles
 
 EXPERIMENT = None
 EXPLAINED = ("Step: the last evaluation that all methods of a task have.",)
-COLUMNS = (*PLACE, METHOD, SCORE, STEP, scored("iqm", "Final", best=True), *ENDS, *QUARTILES, *RUNS)
+COLUMNS = (*PLACE, METHOD, SCORE, STEP, *estimated("iqm", "Final", best=True), *QUARTILES, *RUNS)
 
 
 def make(sections: Sequence[Section], settings: Statistics) -> list[Report]:

@@ -14,13 +14,13 @@ from dataclasses import replace
 from typing import Any
 
 from rrmctl.labels import NOTHING_ASKED
-from rrmctl.reports.columns import COMPARED, METHOD, RUNS, SCORE, interval, number, pivoted
+from rrmctl.reports.columns import COMPARED, METHOD, RUNS, SCORE, estimated, interval, number, pivoted
 from rrmctl.reports.report import NOTHING, Column, Grid, Report, Row, report, some
 from rrmctl.reports.scores import read_together, score
 from rrmctl.reports.series import Panel, Section, Series
 from rrmctl.reports.statistics import Statistics
 from rrmctl.stats import Floats
-from rrmctl.store.frame import MAYBE_WHOLE, NUMBER, TEXT
+from rrmctl.store.frame import MAYBE_WHOLE, TEXT
 
 EXPERIMENT = "less-feedback"
 
@@ -42,7 +42,7 @@ PLACE = (
 COLUMNS = (
     *PLACE, METHOD, SCORE,
     *(Column(name, MAYBE_WHOLE) for name in ("first_step", "last_step", "evaluations")),
-    *(Column(name, NUMBER) for name in ("mean_iqm", "low", "high")), *RUNS,
+    *estimated("mean_iqm", "Mean IQM"), *RUNS,
 )  # fmt: skip
 
 

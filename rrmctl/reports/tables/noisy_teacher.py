@@ -15,7 +15,7 @@ from typing import Any
 
 from rrmctl.labels import NOTHING_ASKED, ORACLE
 from rrmctl.reports import published
-from rrmctl.reports.columns import COMPARED, ENDS, METHOD, RUNS, SCORE, STEP, pivoted, plus_minus, scored
+from rrmctl.reports.columns import COMPARED, METHOD, RUNS, SCORE, STEP, estimated, pivoted, plus_minus
 from rrmctl.reports.report import NOTHING, Column, Grid, Report, Row, report, some
 from rrmctl.reports.series import Section
 from rrmctl.reports.statistics import Statistics
@@ -49,7 +49,7 @@ def _signed(row: Row) -> str:
 TASK, TEACHER = Column("task", TEXT, "Task", apart=()), Column("teacher", TEXT, "Teacher")
 FEEDBACK = Column("feedback", TEXT, "Feedback", apart=("task", "teacher"))
 COLUMNS = (
-    TASK, TEACHER, FEEDBACK, METHOD, SCORE, STEP, scored("iqm", "Final", best=True), *ENDS, *RUNS,
+    TASK, TEACHER, FEEDBACK, METHOD, SCORE, STEP, *estimated("iqm", "Final", best=True), *RUNS,
     Column("published", NUMBER, "Paper", _paper), Column("published_half", NUMBER),
     Column("difference", NUMBER, "Difference", _signed),
 )  # fmt: skip

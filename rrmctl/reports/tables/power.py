@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from rrmctl.reports.columns import INTERVAL, METHOD, PLACE, SCORE, interval, number, scored
+from rrmctl.reports.columns import METHOD, PLACE, SCORE, estimated
 from rrmctl.reports.pairwise import Contest, Contests, decide, without_score
 from rrmctl.reports.report import NOTHING, Column, Report, Row, report
 from rrmctl.reports.series import Section
@@ -52,15 +52,8 @@ def _more(row: Row) -> str:
 COLUMNS = (
     *PLACE, METHOD, Column("against", TEXT, "Against"), SCORE,
     Column("n", WHOLE, "n", lambda row: f"{row['n']}:{row['n_against']}"), Column("n_against", WHOLE),
-    scored("difference", "Difference"),
-    Column("low", NUMBER, INTERVAL, lambda row: interval(row["low"], row["high"], row["score"], _fewest(row))),
-    Column("high", NUMBER),
-    Column("improvement", NUMBER, "P(better)", lambda row: number(row["improvement"], "success")),
-    Column(
-        "improvement_low", NUMBER, f"its {SURE}",
-        lambda row: interval(row["improvement_low"], row["improvement_high"], "success", _fewest(row)),
-    ),
-    Column("improvement_high", NUMBER),
+    *estimated("difference", "Difference", n=_fewest),
+    *estimated("improvement", "P(better)", "improvement_", f"its {SURE}", score=lambda _: "success", n=_fewest),
     Column(
         "decision", TEXT, "Decision",
         lambda row: f"{row['decision']} ({row['seeds']})" if row["seeds"] else row["decision"],

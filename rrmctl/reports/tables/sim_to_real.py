@@ -16,7 +16,7 @@ import numpy as np
 from rrm.envs.tasks import ScoreKind
 from rrmctl.planning.profiles import PAPER
 from rrmctl.reports import published
-from rrmctl.reports.columns import COMPARED, ENDS, METHOD, RUNS, SCORE, number, pivoted, scored, step
+from rrmctl.reports.columns import COMPARED, METHOD, RUNS, SCORE, estimated, number, pivoted, step
 from rrmctl.reports.published import Checkpoint
 from rrmctl.reports.report import NOTHING, Column, Grid, Report, Row, report, some
 from rrmctl.reports.scores import score
@@ -32,9 +32,10 @@ EXPLAINED = (
     "Step: the last evaluation up to the paper's checkpoint, or up to the same share of a shorter training.",
 )
 
+IQM = estimated("iqm", "IQM")
 COLUMNS = (
     *map(Column, COMPARED), METHOD, SCORE, Column("paper_step", WHOLE), Column("step", MAYBE_WHOLE),
-    *(Column(name, NUMBER) for name in ("iqm", "low", "high")), *RUNS,
+    *IQM, *RUNS,
     *(Column(name, NUMBER) for name in ("published", "difference")),
 )  # fmt: skip
 
@@ -101,7 +102,7 @@ def _grid(rows: Sequence[Row]) -> Grid:
     return pivoted(
         sorted(rows, key=lambda row: (tasks.index(row["task"]), row["paper_step"])), places,
         lambda row: str(row["score"]).capitalize(),
-        {"{}": scored("iqm", "").text, f"{{}}, {SURE}": ENDS[0].text, "{}, paper": _beside},
+        {"{}": IQM[0].text, f"{{}}, {SURE}": IQM[1].text, "{}, paper": _beside},
         best=("iqm", lambda row: (row["task"], row["paper_step"], row["score"])), beside=[reached],
     )  # fmt: skip
 
