@@ -5,11 +5,12 @@ from __future__ import annotations
 import re
 import tomllib
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, NamedTuple, get_args
 
 import numpy as np
+from pydantic import ConfigDict
+from pydantic.dataclasses import dataclass
 
 from rrm.envs.tasks import ScoreKind
 from rrmctl.reports.series import Series
@@ -21,13 +22,16 @@ _ARM = re.compile(
     r"([\w-]+)(?: \((?:(?P<teacher>[\w-]+)|(?P<full>full feedback)|(?P<field>batch|every) x ([\d.]+))\))?"
 )
 
+_STRICT = ConfigDict(extra="forbid")
+
 #: "above" is of two arms: their difference is above zero.
 Relation = Literal["at least", "below", "above"]
 
 
 class Arm(NamedTuple):
-    """Which series of a task is meant: `pebble`, `pebble (stochastic)`, `pebble (batch x 0.1)`."""
+    """Which series of a task is meant."""
 
+    words: str  #: `pebble`, `pebble (stochastic)`, `pebble (batch x 0.1)`
     method: str
     teacher: str | None  #: None: the task's only one
     #: Questions of a session and steps between two, by their proportion to the fullest schedule; None: the only one.
@@ -45,17 +49,20 @@ class Arm(NamedTuple):
             raise ValueError(f"{PATH.name}: {words!r} is no method with its teacher or its feedback")
         share = float(match[5] or 1)
         budget = (1.0, share) if match["field"] == "every" else (share, 1.0)
-        return cls(match[1], match["teacher"], budget if match["field"] or match["full"] else None)
+        return cls(words, match[1], match["teacher"], budget if match["field"] or match["full"] else None)
+
+    def __str__(self) -> str:
+        return self.words
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, config=_STRICT)
 class Reading:
     """What is read of a series' curve."""
 
     words: str
     steps: Literal["last", "common", "all"] = "last"  #: the last one up to `until`, the box figure's, all up to `until`
     until: float = 1.0  #: share of the training
-    measure: str | None = None  #: "residual beyond prior", or a column of the curve; None: the score the paper reports
+    measure: Literal["label_accuracy", "residual beyond prior"] | None = None  #: None: the score the paper reports
     unit: ScoreKind | None = None  #: how numbers are written; None: as the task's score
     spread: bool = False  #: the standard deviation of the seeds, not their interquartile mean
 
@@ -71,25 +78,25 @@ class Reading:
                 return series.measure(column)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, config=_STRICT)
 class Test:
     """One comparison: of an arm with a bound, or with another arm."""
 
     __test__ = False  # pytest takes everything called so for its own
 
-    arm: str
+    arm: Arm
     relation: Relation
-    than: float | str
+    than: float | Arm
     reading: Reading
 
     def __str__(self) -> str:
-        if isinstance(self.than, str):
+        if isinstance(self.than, Arm):
             return f"{self.arm} {self.relation} {self.than}"
         bound = f"{self.than:g}" if self.reading.unit == "return" else f"{100 * self.than:g} %"
         return f"{self.arm} {self.relation} {bound}"
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, config=_STRICT)
 class Claim:
     """A sentence of the paper and the comparisons that it stands for; it holds where all of them do."""
 
@@ -106,13 +113,14 @@ def read_claims(content: Mapping[str, Any]) -> tuple[Claim, ...]:
     """The claims of a file like `claims.toml`.
 
     Raises:
-        ValueError, TypeError, KeyError: it holds what a claim has not, or lacks what it has.
+        ValueError: it holds what a claim has not, or lacks what it has.
+        KeyError: a reading is not there.
     """
     readings = {name: Reading(**reading) for name, reading in content["readings"].items()}
     claims = []
     for claim in content["claims"]:
         tests = tuple(test for entry in claim["tests"] for test in _tests(entry, readings))
-        claims.append(Claim(**claim | {"tasks": tuple(claim["tasks"]), "tests": tests}))
+        claims.append(Claim(**claim | {"tests": tests}))
     return tuple(claims)
 
 
@@ -122,11 +130,9 @@ def _tests(entry: Mapping[str, Any], readings: Mapping[str, Reading]) -> Iterato
     if len(relations) != 1 or entry.keys() != {"arms", "reading", *relations}:
         raise ValueError(f"{PATH.name}: a test has arms, a reading and one of {get_args(Relation)}, not {entry}")
     (relation,) = relations
-    for than in entry[relation] if relation == "above" else [float(entry[relation])]:
-        for arm in entry["arms"]:
-            test = Test(arm, relation, than, readings[entry["reading"]])
-            assert all(Arm.of(words) for words in (arm, than) if isinstance(words, str))
-            yield test
+    for than in map(Arm.of, entry[relation]) if relation == "above" else [entry[relation]]:
+        for words in entry["arms"]:
+            yield Test(Arm.of(words), relation, than, readings[entry["reading"]])
 
 
 CLAIMS = read_claims(tomllib.loads(PATH.read_text(encoding="utf-8")))

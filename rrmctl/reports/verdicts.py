@@ -101,13 +101,13 @@ def _finding(test: Test, tasks: Sequence[str], section: Section, rivals: int, se
 
 def _beyond(test: Test, found: Estimate) -> tuple[float, float]:
     """By how much the interval's ends are on the claim's side, the worse one first."""
-    bound, low, high = 0.0 if isinstance(test.than, str) else test.than, float(found.low), float(found.high)
+    bound, low, high = 0.0 if isinstance(test.than, Arm) else test.than, float(found.low), float(found.high)
     return (bound - high, bound - low) if test.relation == "below" else (low - bound, high - bound)
 
 
 def _measured(test: Test, tasks: Sequence[str], section: Section, settings: Statistics) -> tuple[Score, Unit]:
     """The number that a test compares with its bound, and its unit."""
-    arms, read = [arm for arm in (test.arm, test.than) if isinstance(arm, str)], []
+    arms, read = [arm for arm in (test.arm, test.than) if isinstance(arm, Arm)], []
     for task in tasks:
         series = [_series(section, task, arm) for arm in arms]
         read.append(list(_values(section, series, test.reading)))
@@ -128,9 +128,8 @@ def _deviation(scores: Floats) -> Floats:
     return np.asarray(np.std(scores, axis=-1, ddof=1))
 
 
-def _series(section: Section, task: str, words: str) -> Series:
+def _series(section: Section, task: str, arm: Arm) -> Series:
     """The one finished series that an arm means; the error says why there is none."""
-    arm = Arm.of(words)
     of_task = [(series, Schedule.of(series.label.feedback)) for series in section.series if series.label.task == task]
     schedules = [schedule for _, schedule in of_task if schedule]
     meant = [
@@ -140,11 +139,11 @@ def _series(section: Section, task: str, words: str) -> Series:
         if arm.budget is None or (schedule and _is(arm.budget, schedule, schedules))
     ]
     if not any(series.n for series in meant):
-        raise UserError(f"no runs of {words}, {task}")
+        raise UserError(f"no runs of {arm}, {task}")
     if len(meant) > 1:
-        raise UserError(f"{words} stands for {len(meant)} series of {task}")
+        raise UserError(f"{arm} stands for {len(meant)} series of {task}")
     if not meant[0].finished:
-        raise UserError(f"{words}, {task}: runs are under way")
+        raise UserError(f"{arm}, {task}: runs are under way")
     return meant[0]
 
 

@@ -23,15 +23,15 @@ MEAN = Reading(words="mean over steps", steps="all")
 
 
 def at_least(bound, *arms, reading=FINAL):
-    return tuple(Test(arm, "at least", bound, reading) for arm in arms)
+    return tuple(Test(Arm.of(arm), "at least", bound, reading) for arm in arms)
 
 
 def below(bound, *arms, reading=FINAL):
-    return tuple(Test(arm, "below", bound, reading) for arm in arms)
+    return tuple(Test(Arm.of(arm), "below", bound, reading) for arm in arms)
 
 
 def above(other, *arms, reading=MEAN):
-    return tuple(Test(arm, "above", other, reading) for arm in arms)
+    return tuple(Test(Arm.of(arm), "above", Arm.of(other), reading) for arm in arms)
 
 
 def claim(*tests, tasks=("button-press",), pooled=False):
@@ -210,7 +210,7 @@ CLAIM = {"name": "c", "says": "so", "where": "here", "experiment": "e", "tasks":
 @pytest.mark.parametrize(
     ("claim", "entry", "error"),
     [
-        ({"say": "so"}, {}, TypeError),
+        ({"say": "so"}, {}, ValueError),
         ({}, {"belo": 0.5}, ValueError),
         ({}, {"at least": 0.5}, ValueError),
         ({}, {"reading": "nowhere"}, KeyError),
@@ -225,12 +225,15 @@ def test_a_file_of_claims_holds_nothing_unknown(claim, entry, error):
     assert read.tests == below(0.5, "pebble")
     with pytest.raises(error):
         read_claims({"readings": readings, "claims": [CLAIM | {"tests": [ENTRY | entry]} | claim]})
+    for key, value in (("step", "all"), ("steps", "al"), ("measure", "label accuracy"), ("unit", "percent")):
+        with pytest.raises(ValueError, match=key):
+            read_claims({"readings": {"final": {"words": "last step", key: value}}, "claims": []})
 
 
 def test_arms_are_written_as_they_are_shown():
     """A method, its teacher, or its feedback by its proportion to the fullest schedule."""
-    assert Arm.of("rrm-proxy") == Arm("rrm-proxy", None, None)
-    assert Arm.of("pebble (mistaken-10)") == Arm("pebble", "mistaken-10", None)
+    assert Arm.of("rrm-proxy")[1:] == ("rrm-proxy", None, None)
+    assert Arm.of("pebble (mistaken-10)") == Arm("pebble (mistaken-10)", "pebble", "mistaken-10", None)
     schedules = [Arm.of(f"pebble ({words})").budget for words in ("full feedback", "batch x 0.1", "every x 4")]
     assert schedules == [(1.0, 1.0), (0.1, 1.0), (1.0, 4.0)]
 
