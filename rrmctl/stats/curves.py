@@ -48,19 +48,15 @@ class CommonStep:
     by: tuple[str, ...]  #: the methods that got there first
 
 
-def common_step(
-    steps: npt.ArrayLike, success: Mapping[str, npt.ArrayLike], *, share: float = SHARE, oracle: str = "oracle"
-) -> CommonStep:
-    """First evaluation step at which `share` of the seeds of any method but the oracle are at 100 % success.
+def common_step(steps: npt.ArrayLike, success: Mapping[str, npt.ArrayLike]) -> CommonStep:
+    """First evaluation step at which `SHARE` of the seeds of any of these methods are at 100 % success.
 
     The rule of the paper's box figure (8 of 10 seeds). A step chosen on the data it is then applied to is an optimistic
     choice, alike for all methods; the last step, where none gets there, is not.
 
     Args:
         steps: evaluation steps common to all methods, [T].
-        success: method -> share of successful episodes of each run, [S, T] in [0, 1].
-        share: of the seeds present.
-        oracle: the method that does not count.
+        success: method (none that knows the true reward) -> share of successful episodes of each run, [S, T].
 
     Raises:
         ValueError: no steps, shapes that do not match, or a success that is not finite or outside [0, 1].
@@ -73,10 +69,8 @@ def common_step(
             raise ValueError(f"{method}: {x.size} steps and scores of shape {np.shape(scores)} do not belong together")
         if values.min() < 0.0 or values.max() > 1.0:
             raise ValueError(f"{method}: success is a fraction between 0 and 1")
-        if method == oracle:
-            continue
         # The slack is for shares like 0.8 * 35, which floating point puts a hair above 28.
-        enough = (values >= 1.0).sum(axis=-1) >= share * values.shape[-1] - 1e-9
+        enough = (values >= 1.0).sum(axis=-1) >= SHARE * values.shape[-1] - 1e-9
         if enough.any():
             first[method] = int(enough.argmax())
     index = min(first.values(), default=x.size - 1)

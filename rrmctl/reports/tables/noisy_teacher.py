@@ -84,7 +84,10 @@ def _matrix(rows: Sequence[Row]) -> Grid:
     families = {(*(row[name] for name in COMPARED), _family(row["method"])) for row in rows}
     named = _family if len(families) == len(rows) else str
     method = Column("method", TEXT, "Method", lambda row: named(row["method"]))
-    cells = {"{}": _halved, "paper": _paper}
+    cells = {
+        "{}": lambda row: plus_minus(row["iqm"], (row["high"] - row["low"]) / 2, row["score"]),
+        "paper": _paper,
+    }
     return pivoted(
         rows, (TASK, method), lambda row: _place(row, (TEACHER, FEEDBACK), rows), cells,
         best=("iqm", lambda row: tuple(row[name] for name in COMPARED)),
@@ -102,10 +105,6 @@ def _family(method: str) -> str:
         return _BASELINE
     residual = _RESIDUAL.fullmatch(method)
     return f"rrm-{residual[1]}" if residual else method
-
-
-def _halved(row: Row) -> str:
-    return plus_minus(row["iqm"], (row["high"] - row["low"]) / 2, row["score"])
 
 
 def _notes(section: Section, rows: Sequence[Row]) -> Iterator[str]:
