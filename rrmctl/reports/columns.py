@@ -52,14 +52,14 @@ def plus_minus(value: float, half: float, score: ScoreKind) -> str:
     return middle if math.isnan(half) else f"{middle} ± {number(half, score).removesuffix(' %')}"
 
 
-def runs(row: Row) -> str:
+def of_planned(row: Row) -> str:
     """Runs of those planned."""
     return f"{row['n']}/{row['planned']}"
 
 
 def counts(rows: Iterable[Row]) -> str:
     """Runs of those planned, of each of several rows in one cell; once where all have equally many."""
-    return ", ".join(dict.fromkeys(map(runs, rows)))
+    return ", ".join(dict.fromkeys(map(of_planned, rows)))
 
 
 def pivoted(
@@ -137,4 +137,4 @@ QUARTILES = (
     Column("q25", NUMBER, "25-75 %", lambda row: spread(row["q25"], row["q75"], row["score"], "{}..{}")),
     Column("q75", NUMBER),
 )
-RUNS = (Column("n", WHOLE, "n", runs), Column("planned", WHOLE))
+RUNS = (Column("n", WHOLE, "n", of_planned), Column("planned", WHOLE))

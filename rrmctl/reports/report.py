@@ -116,7 +116,7 @@ class Report:
     facts: dict[str, Any]  #: what the notes say, in JSON values; experiment, profile and variant among them
 
 
-def report(
+def section_report(
     section: Section,
     settings: Statistics,
     columns: Sequence[Column],

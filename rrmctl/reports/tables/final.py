@@ -11,7 +11,7 @@ from collections.abc import Iterator, Sequence
 from typing import Any
 
 from rrmctl.reports.columns import METHOD, PLACE, QUARTILES, RUNS, SCORE, STEP, estimated
-from rrmctl.reports.report import Report, report
+from rrmctl.reports.report import Report, section_report
 from rrmctl.reports.scores import at, score
 from rrmctl.reports.series import Panel, Section
 from rrmctl.reports.statistics import Statistics
@@ -25,7 +25,9 @@ COLUMNS = (*PLACE, METHOD, SCORE, STEP, *estimated("iqm", "Final", best=True), *
 def make(sections: Sequence[Section], settings: Statistics) -> list[Report]:
     """A table for each section."""
     return [
-        report(section, settings, COLUMNS, [row for panel in section.panels() for row in final_rows(panel, settings)])
+        section_report(
+            section, settings, COLUMNS, [row for panel in section.panels() for row in final_rows(panel, settings)]
+        )
         for section in sections
     ]
 

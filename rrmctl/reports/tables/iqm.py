@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 from rrmctl.reports.iqm_curves import ALL_TASKS, COLUMNS, LAST_MARK, iqm_rows
-from rrmctl.reports.report import Report, report
+from rrmctl.reports.report import Report, section_report
 from rrmctl.reports.series import Panel, Section
 from rrmctl.reports.statistics import Statistics
 from rrmctl.stats.curves import SHARE
@@ -31,7 +31,7 @@ EXPLAINED = (
 def make(sections: Sequence[Section], settings: Statistics) -> list[Report]:
     """A table for each section."""
     return [
-        report(section, settings, COLUMNS, iqm_rows(section, settings), notes=_step_notes(section.panels()))
+        section_report(section, settings, COLUMNS, iqm_rows(section, settings), notes=_step_notes(section.panels()))
         for section in sections
     ]
 

@@ -15,7 +15,7 @@ from typing import Any
 
 from rrmctl.labels import NOTHING_ASKED
 from rrmctl.reports.columns import COMPARED, METHOD, RUNS, SCORE, estimated, interval, number, pivoted
-from rrmctl.reports.report import NOTHING, Column, Grid, Report, Row, report, some
+from rrmctl.reports.report import NOTHING, Column, Grid, Report, Row, section_report, some
 from rrmctl.reports.scores import read_together, score
 from rrmctl.reports.series import Panel, Section, Series
 from rrmctl.reports.statistics import Statistics
@@ -34,13 +34,13 @@ EXPLAINED = (
     "n holds for every method of a row, or for one after the other where they differ.",
 )
 
-PLACE = (
+_PLACE = (
     Column("task", TEXT, "Task"),
     Column("teacher", TEXT, "Teacher", apart=()),
     Column("feedback", TEXT, "Feedback"),
 )
 COLUMNS = (
-    *PLACE, METHOD, SCORE,
+    *_PLACE, METHOD, SCORE,
     *(Column(name, MAYBE_WHOLE) for name in ("first_step", "last_step", "evaluations")),
     *estimated("mean_iqm", "Mean IQM"), *RUNS,
 )  # fmt: skip
@@ -52,7 +52,7 @@ def make(sections: Sequence[Section], settings: Statistics) -> list[Report]:
     for section in sections:
         if tasks := _asking(section):
             rows = _rows(tasks, settings)
-            reports.append(report(section, settings, COLUMNS, rows, grid=_grid, notes=_notes(rows)))
+            reports.append(section_report(section, settings, COLUMNS, rows, grid=_grid, notes=_notes(rows)))
     lacking = "no task has runs under several schedules of feedback"
     return some(reports, sections, lacking, "`rrmctl run less-feedback` makes them")
 
@@ -96,7 +96,7 @@ def _rows(tasks: Sequence[Sequence[Panel]], settings: Statistics) -> list[dict[s
 def _grid(rows: Sequence[Row]) -> Grid:
     """A row for each task and schedule, and a column for each method."""
     return pivoted(
-        rows, PLACE, lambda row: str(row["method"]), {"{}": _cell},
+        rows, _PLACE, lambda row: str(row["method"]), {"{}": _cell},
         best=("mean_iqm", lambda row: tuple(row[name] for name in COMPARED)),
     )  # fmt: skip
 

@@ -16,7 +16,7 @@ from typing import Any
 from rrmctl.labels import NOTHING_ASKED, ORACLE
 from rrmctl.reports import published
 from rrmctl.reports.columns import COMPARED, METHOD, RUNS, SCORE, STEP, estimated, pivoted, plus_minus
-from rrmctl.reports.report import NOTHING, Column, Grid, Report, Row, report, some
+from rrmctl.reports.report import NOTHING, Column, Grid, Report, Row, section_report, some
 from rrmctl.reports.series import Section
 from rrmctl.reports.statistics import Statistics
 from rrmctl.reports.tables.final import final_rows
@@ -46,10 +46,10 @@ def _signed(row: Row) -> str:
     return NOTHING if math.isnan(row["difference"]) else f"{100 * row['difference']:+.1f}"
 
 
-TASK, TEACHER = Column("task", TEXT, "Task", apart=()), Column("teacher", TEXT, "Teacher")
-FEEDBACK = Column("feedback", TEXT, "Feedback", apart=("task", "teacher"))
+_TASK, _TEACHER = Column("task", TEXT, "Task", apart=()), Column("teacher", TEXT, "Teacher")
+_FEEDBACK = Column("feedback", TEXT, "Feedback", apart=("task", "teacher"))
 COLUMNS = (
-    TASK, TEACHER, FEEDBACK, METHOD, SCORE, STEP, *estimated("iqm", "Final", best=True), *RUNS,
+    _TASK, _TEACHER, _FEEDBACK, METHOD, SCORE, STEP, *estimated("iqm", "Final", best=True), *RUNS,
     Column("published", NUMBER, "Paper", _paper), Column("published_half", NUMBER),
     Column("difference", NUMBER, "Difference", _signed),
 )  # fmt: skip
@@ -60,7 +60,7 @@ def make(sections: Sequence[Section], settings: Statistics) -> list[Report]:
     reports, grid = [], _matrix if settings.plus_minus else None
     for section in sections:
         if rows := _rows(section, settings):
-            reports.append(report(section, settings, COLUMNS, rows, grid=grid, notes=_notes(section, rows)))
+            reports.append(section_report(section, settings, COLUMNS, rows, grid=grid, notes=_notes(section, rows)))
     hint = "`rrmctl run noisy-teacher` makes them; `rrmctl report final` is the table for other experiments"
     return some(reports, sections, "there are no runs under a teacher who errs", hint)
 
@@ -89,7 +89,7 @@ def _matrix(rows: Sequence[Row]) -> Grid:
         "paper": _paper,
     }
     return pivoted(
-        rows, (TASK, method), lambda row: _place(row, (TEACHER, FEEDBACK), rows), cells,
+        rows, (_TASK, method), lambda row: _place(row, (_TEACHER, _FEEDBACK), rows), cells,
         best=("iqm", lambda row: tuple(row[name] for name in COMPARED)),
     )  # fmt: skip
 
@@ -108,6 +108,6 @@ def _family(method: str) -> str:
 
 
 def _notes(section: Section, rows: Sequence[Row]) -> Iterator[str]:
-    steps = {_place(row, (TASK, TEACHER, FEEDBACK), rows): row["step"] for row in rows}
+    steps = {_place(row, (_TASK, _TEACHER, _FEEDBACK), rows): row["step"] for row in rows}
     yield f"Read at the last common step: {', '.join(f'{name} at {step:,}' for name, step in steps.items())}."
     yield f"Paper: {published.source(EXPERIMENT)}, at the paper's scale; ours is profile {section.profile}."

@@ -16,7 +16,7 @@ import numpy as np
 
 from rrmctl.reports.columns import METHOD, PLACE, SCORE, estimated
 from rrmctl.reports.pairwise import Contest, Contests, decide, without_score
-from rrmctl.reports.report import NOTHING, Column, Report, Row, report
+from rrmctl.reports.report import NOTHING, Column, Report, Row, section_report
 from rrmctl.reports.series import Section
 from rrmctl.reports.statistics import BOOTSTRAP_SEED, LEVEL, SURE, Statistics
 from rrmctl.stats import Iqm, difference, improvement, outlook
@@ -77,7 +77,7 @@ def _report(section: Section, settings: Statistics) -> Report:
     rows = [_row(contest, contests, settings) for contest in contests.all if contest.ours.size]
     problems = [*section.problems, *refused]
     notes = (*refused, *_notes(section, contests))
-    return report(section, settings, COLUMNS, rows, notes=notes, test=rules, problems=problems)
+    return section_report(section, settings, COLUMNS, rows, notes=notes, test=rules, problems=problems)
 
 
 def _row(contest: Contest, contests: Contests, settings: Statistics) -> dict[str, Any]:

@@ -18,7 +18,7 @@ from rrmctl.planning.profiles import PAPER
 from rrmctl.reports import published
 from rrmctl.reports.columns import COMPARED, METHOD, RUNS, SCORE, estimated, number, pivoted, step
 from rrmctl.reports.published import Checkpoint
-from rrmctl.reports.report import NOTHING, Column, Grid, Report, Row, report, some
+from rrmctl.reports.report import NOTHING, Column, Grid, Report, Row, section_report, some
 from rrmctl.reports.scores import score
 from rrmctl.reports.series import SCORE_COLUMN, Section, Series, finite
 from rrmctl.reports.statistics import SURE, Statistics
@@ -49,7 +49,7 @@ def make(sections: Sequence[Section], settings: Statistics) -> list[Report]:
             f"{section.profile}."
         )
         if rows := list(_rows(section, settings)):
-            reports.append(report(section, settings, COLUMNS, rows, grid=_grid, notes=[note]))
+            reports.append(section_report(section, settings, COLUMNS, rows, grid=_grid, notes=[note]))
     lacking = f"there are no runs of {', '.join(published.deployed_tasks())}"
     return some(reports, sections, lacking, "`rrmctl list` names what there is to run")
 
