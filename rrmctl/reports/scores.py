@@ -34,7 +34,8 @@ class Score:
 
     def estimate(self, level: float = LEVEL) -> Estimate:
         """With its percentile interval."""
-        return estimate(self.point, self.draws, n=self.n, level=level)
+        draws = None if np.isnan(self.draws).all() else self.draws
+        return estimate(self.point, draws, n=self.n, level=level)
 
 
 def score(

@@ -79,24 +79,18 @@ def _finding(test: Test, tasks: Sequence[str], section: Section, rivals: int, se
     """What the section says of one of so many rival comparisons; the error says why it says nothing."""
     measured, unit = _measured(test, tasks, section, settings)
     found = measured.estimate()
-    worst, _ = _beyond(test, found)
-    _, best = _beyond(test, measured.estimate(1 - (1 - LEVEL) / rivals))
-    on_bound = test.relation == "at least"  # a value on the bound is on the claim's side
-    verdict: Verdict = "not enough data"
-    why, margin = "", -math.inf
+    what = (test, ", ".join(tasks), unit, found)
     if section.profile in _UNJUDGED:
-        why = f"profile {section.profile} is no result"
-    elif np.isnan(measured.draws).all():
-        why = f"{found.n} seeds; an interval needs {MIN_RUNS}"
-    else:
-        margin = worst
-        if worst > 0 or (on_bound and worst == 0):
-            verdict = "held"
-        elif best < 0 or (not on_bound and best == 0):
-            verdict = "not held"
-        else:
-            why = "the interval allows both"
-    return Finding(test, ", ".join(tasks), unit, found, verdict, margin, why)
+        return Finding(*what, why=f"profile {section.profile} is no result")
+    if np.isnan(measured.draws).all():
+        return Finding(*what, why=f"{found.n} seeds; an interval needs {MIN_RUNS}")
+    (worst, _), (_, best) = _beyond(test, found), _beyond(test, measured.estimate(1 - (1 - LEVEL) / rivals))
+    on_bound = test.relation == "at least"  # a value on the bound is on the claim's side
+    if worst > 0 or (on_bound and worst == 0):
+        return Finding(*what, "held", worst)
+    if best < 0 or (not on_bound and best == 0):
+        return Finding(*what, "not held", worst)
+    return Finding(*what, "not enough data", worst, "the interval allows both")
 
 
 def _beyond(test: Test, found: Estimate) -> tuple[float, float]:
@@ -149,7 +143,7 @@ def _series(section: Section, task: str, arm: Arm) -> Series:
 
 def _is(budget: tuple[float, float], schedule: Schedule, schedules: Sequence[Schedule]) -> bool:
     """Whether a schedule is this proportion of the largest session and the shortest wait among a task's."""
-    batch, every = max(schedule.batch for schedule in schedules), min(schedule.every for schedule in schedules)
+    batch, every = max(other.batch for other in schedules), min(other.every for other in schedules)
     shares = (schedule.batch / batch, schedule.every / every)
     return all(math.isclose(share, wanted, rel_tol=0.1) for share, wanted in zip(shares, budget, strict=True))
 
