@@ -18,8 +18,8 @@ import numpy as np
 from rrmctl.errors import UserError
 from rrmctl.reports.columns import METHOD, PLACE, QUARTILES, RUNS, SCORE, estimated
 from rrmctl.reports.report import NOTHING, Column, Row
-from rrmctl.reports.scores import at, score
-from rrmctl.reports.series import Panel, Section, Series
+from rrmctl.reports.scores import score
+from rrmctl.reports.series import Panel, Section, Series, at_steps
 from rrmctl.reports.statistics import BOOTSTRAP_SEED, DEFAULTS, LEVEL, Statistics
 from rrmctl.stats import Estimate, Floats, Iqm, area_under_curve, estimate, interval_possible, iqm, quartiles, resample
 from rrmctl.store.files import remove_leftovers, write_table
@@ -179,7 +179,7 @@ def _group_rows(group: Sequence[Panel], settings: Statistics) -> Iterator[dict[s
     teacher, feedback = (names.pop() if len(names) == 1 else otherwise for names, otherwise in named)
     for method in (name for name in by_task[0] if all(name in methods for methods in by_task)):
         series = [methods[method] for methods in by_task]
-        scores = [at(one, panel.read_at().step) for one, panel in zip(series, group, strict=True)]
+        scores = [at_steps(one, [panel.read_at().step]) for one, panel in zip(series, group, strict=True)]
         q25, q75 = quartiles(np.concatenate(scores))
         yield {
             "task": ALL_TASKS, "teacher": teacher, "feedback": feedback, "method": method, "score": "success",

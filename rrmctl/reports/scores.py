@@ -65,11 +65,6 @@ def score(
     return Score(float(np.mean(points)), draws, min(sizes))
 
 
-def at(series: Series, step: int) -> Floats:
-    """The series' score at one of its steps, [S, 1]."""
-    return at_steps(series, np.array([step]))
-
-
 def read_together(series: Sequence[Series]) -> tuple[Steps, dict[Series, Floats]]:
     """The steps that all of these series of one task have, and the score of each there, [S, T].
 

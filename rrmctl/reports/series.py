@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import reduce
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -167,6 +167,6 @@ def finite(steps: Steps, values: Floats) -> tuple[Steps, Floats]:
     return steps[known], values[:, known]
 
 
-def at_steps(series: Series, steps: Steps) -> Floats:
+def at_steps(series: Series, steps: Steps | Sequence[int]) -> Floats:
     """The series' values at these of its steps, [S, len(steps)]."""
     return series.values[:, np.searchsorted(series.steps, steps)]

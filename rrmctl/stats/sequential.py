@@ -18,7 +18,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import combinations
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -56,8 +56,7 @@ class Design:
         return self.group * self.looks
 
 
-@dataclass(frozen=True)
-class Comparison:
+class Comparison(NamedTuple):
     """The scores of two methods, one a seed, in the order in which the seeds are used; [S] each."""
 
     ours: npt.ArrayLike
@@ -139,7 +138,7 @@ class _Tested:
 
     def __init__(self, comparison: Comparison, design: Design) -> None:
         self._design = design
-        self._ours, self._theirs = (_scores(each) for each in (comparison.ours, comparison.theirs))
+        self._ours, self._theirs = map(_scores, comparison)
         self.looks = min(len(self._ours), len(self._theirs), design.seeds) // design.group
         self._crossings: dict[float, int] = {}
         signs = sequences(design.group, design.looks, design.permutations, design.seed)

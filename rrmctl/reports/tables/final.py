@@ -12,8 +12,8 @@ from typing import Any
 
 from rrmctl.reports.columns import METHOD, PLACE, QUARTILES, RUNS, SCORE, STEP, estimated
 from rrmctl.reports.report import Report, section_report
-from rrmctl.reports.scores import at, score
-from rrmctl.reports.series import Panel, Section
+from rrmctl.reports.scores import score
+from rrmctl.reports.series import Panel, Section, at_steps
 from rrmctl.reports.statistics import Statistics
 from rrmctl.stats import quartiles
 
@@ -38,7 +38,7 @@ def final_rows(panel: Panel, settings: Statistics) -> Iterator[dict[str, Any]]:
     for series in panel.series:
         row = panel.row(series) | {"step": step}
         if series.n:
-            values = at(series, step)
+            values = at_steps(series, [step])
             row |= score([values], settings).estimate().row("iqm")
             row |= dict(zip(("q25", "q75"), map(float, quartiles(values)), strict=True))
         yield row
