@@ -60,16 +60,9 @@ def until_decided(
 ) -> tuple[Exit, SweepRecord]:
     """Run groups of seeds until every comparison is decided or the most seeds are run, and say what was decided.
 
-    Args:
-        plan: of all seeds that may be run.
-        rules: of the test.
-        execute: runs those jobs of a part of the plan that are not done, and says how that ended.
-
-    Returns:
-        How the last part ended, and the record of what was run.
-
-    Raises:
-        UserError: nothing to compare, or a test with other rules was begun on these runs.
+    The plan is of all seeds that may be run; `execute` runs those jobs of a part of it that are not done, and says how
+    that ended. Returned is how the last part ended, and the record of what was run. Refused: nothing to compare, or
+    other rules than those of the test that was begun on these runs.
     """
     from rrmctl.reports.pairwise import against
     from rrmctl.stats import Design

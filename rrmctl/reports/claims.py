@@ -39,11 +39,7 @@ class Arm(NamedTuple):
 
     @classmethod
     def of(cls, words: str) -> Arm:
-        """The arm that is so called.
-
-        Raises:
-            ValueError: none can be called so.
-        """
+        """The arm that is so called; a `ValueError` where none can be."""
         match = _ARM.fullmatch(words)
         if match is None:
             raise ValueError(f"{PATH.name}: {words!r} is no method with its teacher or its feedback")

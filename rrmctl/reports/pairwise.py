@@ -59,11 +59,7 @@ def every_pair(labels: Iterable[Label]) -> list[Pairing]:
 
 
 def against(labels: Iterable[Label], method: str | None) -> list[Pairing]:
-    """Each method of each panel against one; None takes the first.
-
-    Raises:
-        UserError: a panel lacks the method, or has no other.
-    """
+    """Each method of each panel against one (None: the first); refused where a panel lacks it, or has no other."""
     pairs = []
     for panel in panels(labels).values():
         methods = {label.method: label for label in panel}

@@ -66,11 +66,7 @@ def score(
 
 
 def read_together(series: Sequence[Series]) -> tuple[Steps, dict[Series, Floats]]:
-    """The steps that all of these series of one task have, and the score of each there, [S, T].
-
-    Raises:
-        UserError: there is no such step.
-    """
+    """The steps that all of these series of one task have, and the score of each there, [S, T]; refused without any."""
     steps = reduce(np.intersect1d, (one.steps for one in series))
     if not steps.size:
         task = series[0].label.task

@@ -75,11 +75,7 @@ class Panel:
         return tuple(series for series in self.series if series.n)
 
     def steps(self) -> Steps:
-        """Evaluation steps common to all series present.
-
-        Raises:
-            UserError: there is none, so the methods cannot be compared.
-        """
+        """Evaluation steps common to all series present; an error where there is none: they cannot be compared."""
         present = self.present()
         common = reduce(np.intersect1d, (series.steps for series in present))
         if common.size == 0:
@@ -128,11 +124,7 @@ class Section:
     source: Layout | None = None  #: the store it was read from, for what runs leave beside their curves
 
     def accepted(self) -> Section:
-        """The section, where its runs belong together.
-
-        Raises:
-            UserError: they do not.
-        """
+        """The section, where its runs belong together; else the error says why they do not."""
         if self.refusal is not None:
             raise self.refusal
         return self
