@@ -70,8 +70,7 @@ def probability_of_improvement(ours: Strata, theirs: Strata) -> float:
     Raises:
         ValueError: no tasks, different numbers of tasks, no runs, or a score that is not finite.
     """
-    _sizes(ours, theirs)
-    return float(np.mean([_wins(a, b).mean() for a, b in zip(ours, theirs, strict=True)]))
+    return float(np.mean([wins.mean() for wins in _wins(ours, theirs)]))
 
 
 def improvement(
@@ -89,26 +88,26 @@ def improvement(
     """
     if replicates < 1:
         raise ValueError(f"a bootstrap needs at least one replicate, not {replicates}")
-    sizes = _sizes(ours, theirs)
-    draws = None
-    if interval_possible([size for pair in sizes for size in pair]):
-        tasks = zip(ours, theirs, sizes, strict=True)
-        draws = np.mean([_win_draws(_wins(a, b), pair, rng, replicates) for a, b, pair in tasks], axis=0)
-    return estimate(probability_of_improvement(ours, theirs), draws, n=sum(map(sum, sizes)), level=level)
+    tasks, draws = _wins(ours, theirs), None
+    sizes = [size for wins in tasks for size in wins.shape]
+    if interval_possible(sizes):
+        draws = np.mean([_win_draws(wins, rng, replicates) for wins in tasks], axis=0)
+    return estimate(np.mean([wins.mean() for wins in tasks]), draws, n=sum(sizes), level=level)
 
 
-def _win_draws(wins: Floats, sizes: tuple[int, int], rng: np.random.Generator, replicates: int) -> Floats:
+def _win_draws(wins: Floats, rng: np.random.Generator, replicates: int) -> Floats:
     """The share of wins of each replicate [R], from how often it drew each run."""
-    ours, theirs = (count_draws([rng.integers(n, size=(replicates, n), dtype=np.int32)]) for n in sizes)
+    ours, theirs = (count_draws([rng.integers(n, size=(replicates, n), dtype=np.int32)]) for n in wins.shape)
     return np.asarray(np.einsum("ar,ab,br->r", ours, wins, theirs, optimize=True) / wins.size)
 
 
-def _wins(ours: npt.ArrayLike, theirs: npt.ArrayLike) -> Floats:
-    """1 where the run of ours [row] beats that of theirs [column], 1/2 where they are level: [S, S']."""
-    a, b = checked(ours, axis=0), checked(theirs, axis=0)
-    if a.ndim != 1 or b.ndim != 1:
+def _wins(ours: Strata, theirs: Strata) -> list[Floats]:
+    """Of each task, 1 where the run of ours [row] beats that of theirs [column], 1/2 where they are level: [S, S']."""
+    _sizes(ours, theirs)
+    pairs = [[checked(each, axis=0) for each in pair] for pair in zip(ours, theirs, strict=True)]
+    if any(each.ndim != 1 for pair in pairs for each in pair):
         raise ValueError("runs are compared by one score each")
-    return np.asarray((np.sign(a[:, None] - b) + 1.0) / 2.0)
+    return [np.asarray((np.sign(a[:, None] - b) + 1.0) / 2.0) for a, b in pairs]
 
 
 def _sizes(ours: Strata, theirs: Strata) -> list[tuple[int, int]]:
