@@ -82,8 +82,8 @@ def decide(section: Section, trial: Trial | None, *, seeds: Collection[int] | No
     """
     if trial is None:
         pairs, usual = every_pair(series.label for series in section.series), Design()
-        planned = max((series.planned for series in section.series), default=0)
-        design = Design(looks=max(usual.looks, -(-planned // usual.group)))
+        most = max((series.planned for series in section.series), default=0)
+        design = Design(looks=max(usual.looks, -(-most // usual.group)))
     else:
         pairs, design = list(trial.pairs), Design(group=trial.group, looks=trial.looks, alpha=trial.alpha)
     by_label = {series.label: _scores(series, seeds) for series in section.series}
@@ -95,7 +95,9 @@ def decide(section: Section, trial: Trial | None, *, seeds: Collection[int] | No
         scores = [by_label.get(label, {}) for label in labels]
         if not all(scores):  # nothing is said of one alone
             scores = [{}, {}]
-        order = _order(section, labels, seeds)
+        planned = {absent.seed for absent in section.absent if absent.label in labels}
+        planned |= {seed for series in section.series if series.label in labels for seed in series.seeds}
+        order = sorted(planned if seeds is None else planned.intersection(seeds))
         tested = Comparison(*([own[seed] for seed in takewhile(own.__contains__, order)] for own in scores))
         ours, theirs = (np.array(list(own.values())) for own in scores)
         sides.append((pair, kinds.get(pair.task, "success"), ours, theirs, tested))
@@ -130,10 +132,3 @@ def _scores(series: Series, seeds: Collection[int] | None) -> dict[int, float]:
         if values.size and np.isfinite(values).all():
             scores[seed] = float(area_under_curve(own["step"], values))
     return scores
-
-
-def _order(section: Section, labels: Collection[Label], seeds: Collection[int] | None) -> list[int]:
-    """The seeds, of those to look at, that were planned for one of two methods."""
-    planned = {absent.seed for absent in section.absent if absent.label in labels}
-    planned |= {seed for series in section.series if series.label in labels for seed in series.seeds}
-    return sorted(planned if seeds is None else planned.intersection(seeds))

@@ -41,17 +41,15 @@ def _paper(row: Row) -> str:
     return plus_minus(row["published"], row["published_half"], row["score"])
 
 
-def _signed(row: Row) -> str:
-    """Between two successes, in percentage points."""
-    return NOTHING if math.isnan(row["difference"]) else f"{100 * row['difference']:+.1f}"
-
-
 _TASK, _TEACHER = Column("task", TEXT, "Task", apart=()), Column("teacher", TEXT, "Teacher")
 _FEEDBACK = Column("feedback", TEXT, "Feedback", apart=("task", "teacher"))
 COLUMNS = (
     _TASK, _TEACHER, _FEEDBACK, METHOD, SCORE, STEP, *estimated("iqm", "Final", best=True), *RUNS,
     Column("published", NUMBER, "Paper", _paper), Column("published_half", NUMBER),
-    Column("difference", NUMBER, "Difference", _signed),
+    Column(
+        "difference", NUMBER, "Difference",
+        lambda row: NOTHING if math.isnan(row["difference"]) else f"{100 * row['difference']:+.1f}",
+    ),
 )  # fmt: skip
 
 
