@@ -103,7 +103,7 @@ def _lost(layout: Layout, sweeps: Iterable[SweepRecord]) -> Iterator[tuple[str, 
 
 def _aggregate(layout: Layout, name: str) -> None:
     """Write an experiment's `aggregates/NAME.parquet`."""
-    from rrmctl.reports import aggregates
+    from rrmctl.reports.iqm_curves import write_curves
     from rrmctl.reports.select import read_sections
 
-    aggregates.write(layout, read_sections(layout.root, name))
+    write_curves(layout, read_sections(layout.root, name))

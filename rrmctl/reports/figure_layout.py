@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from rrmctl.errors import UserError
-from rrmctl.reports.captions import short_absent_notes, title
+from rrmctl.reports.captions import absent_notes, title
 from rrmctl.reports.select import sections
 from rrmctl.reports.series import Section
 from rrmctl.reports.statistics import Statistics, Width
@@ -83,7 +83,7 @@ def sheet(
     storeyed = [any(slot.above for slot in row) for row in rows]
     heights = [tall for two in storeyed for tall in (*([_ABOVE] if two else []), height or usual)]
     width, contents = wide * across, [f"{section.contained} of {section.planned} planned runs."]
-    contents += [*short_absent_notes(section), *section.problems]
+    contents += [*absent_notes(section, short=True), *section.problems]
     legend = _methods(section, slots) if legend is None else legend
     with look(size):
         from matplotlib import rcParams
