@@ -24,7 +24,7 @@ def clean(
     A run is left over when settings, a file of yours or the program changed and the experiment was run again, or when
     its sweep's record was removed. Runs under way stay.
     """
-    from rrmctl.store.reader import open_results
+    from rrmctl.store.layout import open_results
     from rrmctl.store.unused import remove, unused
 
     layout = open_results(results)

@@ -44,7 +44,8 @@ def collect(
     """
     from rrmctl.running import demos
     from rrmctl.store.files import storage_error
-    from rrmctl.store.reader import find_run, open_results
+    from rrmctl.store.layout import open_results
+    from rrmctl.store.reader import find_run
 
     if (run is None) == (scripted is None):
         raise UserError("whose demonstrations?", "name a finished run with --run, or a task with --scripted")

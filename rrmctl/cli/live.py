@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING
 
 from rrmctl.cli.request import duration
 from rrmctl.running.scheduler import Ending, Outcome, Stage
-from rrmctl.running.supervisor import Assignment
 from rrmctl.store.layout import Layout
 from rrmctl.store.reader import log_tail
 from rrmctl.store.status import ErrorKind, RunError
+from rrmctl.store.sweeps import Job
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -27,15 +27,15 @@ class Lines:
     Args:
         console: where to; usually standard error.
         layout: where the logs are.
-        assignments: the jobs of this command.
+        jobs: of this command.
     """
 
-    def __init__(self, console: Console, layout: Layout, assignments: Sequence[Assignment]) -> None:
+    def __init__(self, console: Console, layout: Layout, jobs: Sequence[Job]) -> None:
         self.console = console
         self.over = 0  #: jobs done or failed
-        self.total = len(assignments)
+        self.total = len(jobs)
         self._layout = layout
-        self._jobs = {assignment.id: assignment for assignment in assignments}
+        self._jobs = {job.id: job for job in jobs}
         self._said: dict[str, float] = {}
 
     def started(self, job: str, attempt: int) -> None:
@@ -104,8 +104,8 @@ class Lines:
 class Bars(Lines):
     """Lines, and below them a bar for each running job and one for all."""
 
-    def __init__(self, console: Console, layout: Layout, assignments: Sequence[Assignment]) -> None:
-        super().__init__(console, layout, assignments)
+    def __init__(self, console: Console, layout: Layout, jobs: Sequence[Job]) -> None:
+        super().__init__(console, layout, jobs)
         self.progress = _progress(console)
         self._bars: dict[str, TaskID] = {}
         self._all = self.progress.add_task("", total=self.total, rate="", score="", left="")
@@ -117,8 +117,8 @@ class Bars(Lines):
     def started(self, job: str, attempt: int) -> None:
         if attempt > 1:
             super().started(job, attempt)
-        assignment = self._jobs[job]
-        self._bars[job] = self.progress.add_task(assignment.label, total=assignment.steps, rate="", score="", left="")
+        label, steps = self._jobs[job].label, self._jobs[job].steps
+        self._bars[job] = self.progress.add_task(label, total=steps, rate="", score="", left="")
 
     def beat(self, job: str, step: int, steps_per_s: float | None) -> None:
         self._at[job] = step

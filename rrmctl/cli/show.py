@@ -30,7 +30,8 @@ def show(
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON for programs.")] = False,
 ) -> None:
     """Show one run: what it is, where it stands, what it ran with, its last evaluations and the end of its log."""
-    from rrmctl.store.reader import find_run, open_results
+    from rrmctl.store.layout import open_results
+    from rrmctl.store.reader import find_run
 
     layout = open_results(results)
     known = _known(layout, find_run(layout, run), lines)
@@ -91,7 +92,7 @@ def _known(layout: Layout, folder: RunFolder, lines: int) -> dict[str, Any]:
 
 
 def _last_rows(folder: RunFolder) -> list[dict[str, Any]]:
-    from rrmctl.store.reader import read_curve
+    from rrmctl.store.curve import read_curve
 
     table = read_curve(folder)
     return [] if table is None else table.slice(max(0, table.num_rows - _LAST)).to_pylist()
@@ -118,7 +119,7 @@ def _sections(known: Mapping[str, Any]) -> dict[str, str]:
 def _error(error: Mapping[str, Any] | None) -> str:
     from rrmctl.store.status import RunError
 
-    return "" if error is None else str(RunError.from_json(error))
+    return "" if error is None else str(RunError(**error))
 
 
 def _row(row: Mapping[str, Any]) -> str:

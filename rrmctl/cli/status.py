@@ -54,7 +54,8 @@ def status(
 
     A run is "interrupted" when its process stopped or died before its end; `rrmctl resume` goes on with it.
     """
-    from rrmctl.store.reader import find_sweeps, open_results, statuses
+    from rrmctl.store.layout import open_results
+    from rrmctl.store.reader import find_sweeps, statuses
     from rrmctl.store.sweeps import readable_sweeps
 
     layout = open_results(results)

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
-from rrmctl.reports.names import check_profile
 from rrmctl.store.frame import NUMBER, TEXT, WHOLE, frame, typed
-from rrmctl.store.inventory import Run, inventory
+from rrmctl.store.reader import check_profile
+from rrmctl.store.snapshot import Run, Snapshot
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -41,7 +41,7 @@ def read(results: str | Path, experiment: str, profile: str | None = None) -> Bu
     Raises:
         UserError: no such experiment or profile, or a file is damaged; the message names it.
     """
-    runs = inventory(results, experiment)
+    runs = Snapshot(results, experiment).runs()
     check_profile(profile, (str(run.plan["profile"]) for run in runs))
     return Bundle(experiment, tuple(run for run in runs if profile in (None, run.plan["profile"])))
 

@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from rrmctl.commands import run_commands
@@ -17,9 +16,9 @@ from rrmctl.errors import UserError
 from rrmctl.labels import Label
 from rrmctl.planning.settings import config_version
 from rrmctl.reports.series import Section
-from rrmctl.store.layout import Layout, RunFolder
+from rrmctl.store.layout import Layout
 from rrmctl.store.provenance import asked_by, made_with, version
-from rrmctl.store.reader import read_config
+from rrmctl.store.snapshot import Snapshot
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -27,7 +26,6 @@ if TYPE_CHECKING:
 VERSION = "configuration version"
 PRECISION = "precision"
 TRUE_REWARD = "true reward on fixed states"
-CODE = "code"
 
 #: Packages that every run uses, and what each environment says of itself (its simulator among it), as recorded.
 _PACKAGES = {"versions.rrmctl": "rrmctl", "versions.torch": "torch"}
@@ -62,24 +60,20 @@ class Made(NamedTuple):
 Mixture = Mapping[str, Mapping[str, Sequence[Made]]]
 
 
-def read_makings(layout: Layout, runs: Sequence[str]) -> dict[str, Making]:
-    """How each of these runs was made, by id.
+def making(store: Snapshot, run: str) -> Making:
+    """How this run was made.
 
     Raises:
-        DamagedError: a configuration or provenance cannot be read.
-        UserError: a run has no configuration.
+        DamagedError: its configuration or provenance cannot be read.
+        UserError: it has no configuration.
     """
-    return {run: _read(layout.run(run)) for run in runs}
-
-
-def _read(folder: RunFolder) -> Making:
-    config, recorded = read_config(folder), made_with(folder)
+    config, recorded = store.config(run), made_with(store.provenance(run))
     facts = {VERSION: str(config["config_version"]), PRECISION: str(config["precision"])}
     facts |= {name: recorded[key] for key, name in _PACKAGES.items() if key in recorded}
     for key in (key for key in recorded if key.startswith(_ENVIRONMENT)):
         name = key.removeprefix(_ENVIRONMENT)
         facts.setdefault(TRUE_REWARD if name == "true_reward" else name, recorded[key])
-    return Making(config, facts, recorded.get(CODE))
+    return Making(config, facts, recorded.get("code"))
 
 
 def mixture(section: Section, makings: Mapping[str, Making]) -> Mixture:
@@ -121,19 +115,26 @@ def remarks(section: Section, makings: Mapping[str, Making]) -> Iterator[str]:
         yield f"Methods differ in precision: {which}."
 
 
-def refuse(section: Section, mixed: Mixture, results: str | Path) -> UserError:
+def refuse(section: Section, mixed: Mixture, layout: Layout) -> UserError:
     """What to say where runs differ that should not: training anew those that this environment would make otherwise."""
-    now = {fact: _now(fact) for fact in mixed}
+    now = {fact: str(config_version()) if fact == VERSION else version(fact) for fact in mixed}
     stale = {
         fact: [made for value, runs in values.items() if value != now[fact] for made in runs]
         for fact, values in mixed.items()
-        if now[fact] is not None
+        if now[fact] is not None  # else only a run can tell
     }
-    commands = _commands(section, stale, results)
+    anew = [made for runs in stale.values() for made in runs]
+    older = not set(stale) - {VERSION}  # a run of another version is another run
+    commands = run_commands(
+        section.experiment, section.profile, section.overrides,
+        [(made.label.task, made.label.method, made.seed) for made in anew],
+        asked=[asked_by(layout.run(made.run)) for made in anew],
+        options=[] if older else ["--force"], results=layout.root,
+    )  # fmt: skip
     way = f"train anew what would be made otherwise now: `{'`, `'.join(commands)}`"
     if not commands:
         way = "which of them would be made now is not known before a run in another --results folder"
-    elif not set(stale) - {VERSION}:
+    elif older:
         way += "; the old runs are then left out"
     where = f"{section.experiment}, profile {section.profile}"
     return UserError(
@@ -158,25 +159,6 @@ def configurations(label: Label, rows: pd.DataFrame) -> UserError | None:
         f"more as you did last, with all these seeds: --seeds {','.join(map(str, sorted(set(rows['seed']))))}; "
         "what was made otherwise is then left out",
     )
-
-
-def _now(fact: str) -> str | None:
-    """What a run made now would have; None where only a run can tell."""
-    if fact == VERSION:
-        return str(config_version())
-    return version(fact)
-
-
-def _commands(section: Section, stale: Mapping[str, Sequence[Made]], results: str | Path) -> list[str]:
-    """What trains these runs anew and no other."""
-    made = [each for runs in stale.values() for each in runs]
-    return run_commands(
-        section.experiment, section.profile, section.overrides,
-        [(each.label.task, each.label.method, each.seed) for each in made],
-        asked=[asked_by(Layout(Path(results)).run(each.run)) for each in made],
-        options=["--force"] if set(stale) - {VERSION} else [],  # a run of another version is another run
-        results=results,
-    )  # fmt: skip
 
 
 def _runs(section: Section) -> Iterator[Made]:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from rrmctl.labels import Label
 from rrmctl.store.frame import NUMBER, TEXT, WHOLE, frame
-from rrmctl.store.inventory import Run, settings
+from rrmctl.store.snapshot import Run, settings
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -47,7 +47,8 @@ def load_config(folder: RunFolder) -> JobConfig:
     """
     from pydantic import ValidationError
 
-    from rrm.errors import UnknownNameError
+    from rrm.errors import ConfigError, UnknownNameError
+    from rrm.registry import file_digest
     from rrm.training.kinds import config_class
     from rrm.training.run_config import CONFIG_VERSION
 
@@ -58,7 +59,13 @@ def load_config(folder: RunFolder) -> JobConfig:
             f"this program trains version {CONFIG_VERSION}",
             "use the rrmctl that wrote it, or run the experiment into another --results folder",
         )
-    _check_files(stored)
+    for key, path, planned in _user_files(stored):  # another content would be another run
+        try:
+            changed = file_digest(Path(path), key) != planned
+        except ConfigError as error:
+            raise MissingFileError(str(error), _BACK) from error
+        if changed:
+            raise MissingFileError(f"{path} has changed since this run was planned with it", _BACK)
     try:
         model = config_class(str(stored.get("kind", "train")))  # written before there were kinds: a run
     except UnknownNameError as error:
@@ -79,12 +86,10 @@ def code_files(stored: Mapping[str, Any]) -> dict[str, str]:
 
     Frozen language priors are none of them: such code can do nothing but compute.
     """
-    named = {path: str(digest) for key, path, digest in _user_files(stored) if key != "demos"}
-    if not named:
-        return named
     from rrm.registry import LANGUAGE
 
-    return {path: digest for path, digest in named.items() if not path.endswith(LANGUAGE)}
+    named = ((path, str(digest)) for key, path, digest in _user_files(stored) if key != "demos")
+    return {path: digest for path, digest in named if not path.endswith(LANGUAGE)}
 
 
 def _user_files(stored: Mapping[str, Any]) -> Iterator[tuple[str, str, Any]]:
@@ -96,17 +101,3 @@ def _user_files(stored: Mapping[str, Any]) -> Iterator[tuple[str, str, Any]]:
         name = settings.get(key) if isinstance(settings, dict) else None
         if isinstance(name, str) and (key == "demos" or is_file_reference(name)):
             yield key, name if key == "demos" else name.rpartition(":")[0], settings.get(f"{key}_digest")
-
-
-def _check_files(stored: Mapping[str, Any]) -> None:
-    """Refuse a user's file that is not the one the run was planned with: it would be another run."""
-    from rrm.errors import ConfigError
-    from rrm.registry import file_digest
-
-    for key, path, planned in _user_files(stored):
-        try:
-            changed = file_digest(Path(path), key) != planned
-        except ConfigError as error:
-            raise MissingFileError(str(error), _BACK) from error
-        if changed:
-            raise MissingFileError(f"{path} has changed since this run was planned with it", _BACK)

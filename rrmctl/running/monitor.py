@@ -10,9 +10,9 @@ from contextlib import AbstractContextManager
 from typing import TYPE_CHECKING, Any
 
 from rrmctl.running.parent_link import Pipe, StopRequest, say
+from rrmctl.store.curve import CurveWriter
 from rrmctl.store.lease import Lease
 from rrmctl.store.status import RunState, Status, write_status
-from rrmctl.store.writer import CurveWriter
 
 if TYPE_CHECKING:
     from rrm.types import EvalRow

@@ -25,6 +25,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
+from rrm.files import place
+from rrmctl.commands import rrmctl
 from rrmctl.errors import UserError
 
 #: Names that become a file's: no separators, nothing hidden, no way out of the results root.
@@ -34,11 +36,34 @@ _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,127}")
 RUN_ID = re.compile(r"[0-9a-f]{16}")
 
 
+class _Entry:
+    """A file or folder of this name in a run's folder."""
+
+    def __init__(self, name: str) -> None:
+        self._name = name
+
+    def __get__(self, folder: RunFolder, _owner: type[RunFolder]) -> Path:
+        return folder.path / self._name
+
+
 @dataclass(frozen=True)
 class RunFolder:
     """The files of one run."""
 
     path: Path
+
+    config = _Entry("config.json")  #: written once, before the run starts
+    provenance = _Entry("provenance.json")  #: written when the run starts, extended when it resumes
+    curve = _Entry("curve.parquet")  #: replaced after each evaluation
+    status = _Entry("status.json")  #: replaced at each change of state and every few seconds in between
+    log = _Entry("log.txt")  #: only ever appended to
+    lock = _Entry("lock")  #: empty; what counts is who holds it
+    guard = _Entry("guard")  #: empty; held for the moment of a write, see `rrmctl.store.lease`
+    lease = _Entry("lease.json")  #: the owner's signs of life
+    checkpoint = _Entry("checkpoint")  #: the trainer's own folder
+    model = _Entry("model.safetensors")  #: written when training is over
+    demos = _Entry("demos.safetensors")  #: written when they are all there
+    gradients = _Entry("gradients.parquet")  #: replaced with the curve
 
     @property
     def id(self) -> str:
@@ -49,66 +74,6 @@ class RunFolder:
     def results(self) -> Path:
         """The results root that it lies in."""
         return self.path.parent.parent
-
-    @property
-    def config(self) -> Path:
-        """Written once, before the run starts."""
-        return self.path / "config.json"
-
-    @property
-    def provenance(self) -> Path:
-        """Written when the run starts, extended when it resumes."""
-        return self.path / "provenance.json"
-
-    @property
-    def curve(self) -> Path:
-        """Replaced after each evaluation."""
-        return self.path / "curve.parquet"
-
-    @property
-    def status(self) -> Path:
-        """Replaced at each change of state and every few seconds in between."""
-        return self.path / "status.json"
-
-    @property
-    def log(self) -> Path:
-        """Only ever appended to."""
-        return self.path / "log.txt"
-
-    @property
-    def lock(self) -> Path:
-        """Empty; what counts is who holds it."""
-        return self.path / "lock"
-
-    @property
-    def guard(self) -> Path:
-        """Empty; held for the moment of a write, see `rrmctl.store.lease`."""
-        return self.path / "guard"
-
-    @property
-    def lease(self) -> Path:
-        """The owner's signs of life."""
-        return self.path / "lease.json"
-
-    @property
-    def checkpoint(self) -> Path:
-        """The trainer's own folder."""
-        return self.path / "checkpoint"
-
-    @property
-    def model(self) -> Path:
-        """Written when training is over."""
-        return self.path / "model.safetensors"
-
-    @property
-    def demos(self) -> Path:
-        """Written when they are all there."""
-        return self.path / "demos.safetensors"
-
-    @property
-    def gradients(self) -> Path:
-        """Replaced with the curve."""
-        return self.path / "gradients.parquet"
 
     def trained(self) -> tuple[Path, ...]:
         """What training leaves, to be removed when a run starts from nothing."""
@@ -156,6 +121,31 @@ class Layout:
 
     def _sweeps(self, experiment: str) -> Path:
         return self.root / "sweeps" / _checked("experiment", experiment)
+
+
+def new_results(results: str | Path) -> Layout:
+    """The layout of a results root, whether or not it exists.
+
+    Raises:
+        UserError: it is a file.
+    """
+    root = place(results)
+    if root.exists() and not root.is_dir():
+        raise UserError(f"{root} is a file, not a folder", "name a folder with --results; the default is results")
+    return Layout(root)
+
+
+def open_results(results: str | Path) -> Layout:
+    """The layout of an existing results root.
+
+    Raises:
+        UserError: there is no such folder.
+    """
+    layout = new_results(results)
+    if not layout.root.is_dir():
+        begin = rrmctl("run", "quickstart", results=layout.root)
+        raise UserError(f"there is no results folder {layout.root}", f"`{begin}` makes one; --results names another")
+    return layout
 
 
 def _names(folder: Path, wanted: Callable[[Path], bool]) -> list[str]:

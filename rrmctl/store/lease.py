@@ -16,26 +16,22 @@ it is waited for until it wakes or dies.
 from __future__ import annotations
 
 import contextlib
-import fcntl
 import json
 import math
 import os
 import secrets
 import threading
-import time
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager
 
 from rrm.files import replace
-from rrmctl.store.files import StorageError, is_open_at, storage_error, try_lock
+from rrmctl.store.files import StorageError, storage_error
 from rrmctl.store.layout import RunFolder
+from rrmctl.store.locks import is_open_at, open_lock, try_lock, wait_for
 from rrmctl.store.owner import Beat, lock_free, read_beat
 
 #: How often the owner raises its count, seconds.
 BEAT_S = 2.0
-
-#: How often one who waits for the guard looks whether it is free, seconds.
-_LOOK_S = 0.01
 
 
 class LeaseLostError(Exception):
@@ -176,25 +172,10 @@ def _guarded(
         StorageError: it cannot be opened.
         TimeoutError: others held it all the while.
     """
+    descriptor = open_lock(folder.guard)
     try:
-        descriptor = os.open(folder.guard, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o666)
-    except OSError as error:
-        raise storage_error(folder.guard, error) from error
-    try:
-        deadline = time.monotonic() + patience_s
-        while not _locked(descriptor):
-            if time.monotonic() >= deadline:
-                raise TimeoutError(f"{folder.guard} is held by another process")
-            waiting()
-            time.sleep(_LOOK_S)
+        if not wait_for(descriptor, patience_s, waiting):
+            raise TimeoutError(f"{folder.guard} is held by another process")
         yield
     finally:
         os.close(descriptor)
-
-
-def _locked(descriptor: int) -> bool:
-    try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        return False
-    return True

@@ -17,8 +17,9 @@ from pathlib import Path
 from typing import Any
 
 from rrmctl.errors import UserError
-from rrmctl.store.files import is_locked, read_json, try_lock
 from rrmctl.store.layout import RunFolder
+from rrmctl.store.locks import is_locked, try_lock
+from rrmctl.store.records import read_json
 from rrmctl.suspend_clock import WakingTime
 
 #: How long others watch a count that does not change before they take the run over, seconds.

@@ -12,14 +12,15 @@ import platform
 import socket
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
+
+from pydantic import AfterValidator, StrictStr
 
 import rrm
 from rrmctl.errors import UserError
 from rrmctl.hardware import cpu_model
-from rrmctl.store import validation
-from rrmctl.store.files import DamagedError, read_json, write_json
 from rrmctl.store.layout import RunFolder
+from rrmctl.store.records import check_version, read_json, validated, write_json
 from rrmctl.store.schema import SCHEMA_VERSION
 
 #: Packages whose version can change a number or a file.
@@ -77,34 +78,35 @@ def read_provenance(folder: RunFolder) -> dict[str, Any] | None:
         StorageError: it cannot be read now.
         VersionError: it is of another schema version.
     """
-    known = read_json(folder.provenance)
+    hint = "move it away; what the run ran with until now is then unknown"
+    known = read_json(folder.provenance, hint)
     if known is not None:
-        hint = "move it away; what the run ran with until now is then unknown"
-        validation.check_version(dict(known), folder.provenance, hint)
-        try:
-            _check(known)
-        except (AttributeError, TypeError, ValueError, KeyError) as problem:
-            raise DamagedError(f"{folder.provenance} is damaged: {problem}", hint) from problem
+        check_version(known.get("schema_version"), folder.provenance, hint)
+        validated(_Recorded, known, folder.provenance, hint, "started argv versions resumed")
     return known
 
 
-def _check(known: Mapping[str, Any]) -> None:
-    """See that what is read of it can be."""
-    datetime.datetime.fromisoformat(known.get("started", "2000-01-01"))
-    " ".join(known.get("argv", ()))
-    known.get("versions", {}).items()
-    for entry in known.get("resumed", ()):
-        for _before, _after in entry["changes"].values():
-            pass
+@dataclasses.dataclass(frozen=True)
+class _Resumption:
+    changes: dict[str, tuple[Any, Any]]  #: before and after, by name
+
+
+@dataclasses.dataclass(frozen=True)
+class _Recorded:
+    """What others read of a file, of whatever version of the program."""
+
+    started: Annotated[StrictStr, AfterValidator(datetime.datetime.fromisoformat)] = ""
+    argv: tuple[StrictStr, ...] = ()
+    versions: dict[str, Any] = dataclasses.field(default_factory=dict)
+    resumed: tuple[_Resumption, ...] = ()
 
 
 def asked_by(folder: RunFolder) -> list[str]:
     """The command that asked for the run's first attempt; empty where that is not known."""
     try:
-        known = read_provenance(folder) or {}
+        return list((read_provenance(folder) or {}).get("argv", []))
     except UserError:
         return []
-    return list(map(str, known.get("argv", [])))
 
 
 def record(folder: RunFolder, now: Provenance) -> list[str]:
@@ -125,20 +127,19 @@ def record(folder: RunFolder, now: Provenance) -> list[str]:
         lost = {"lost": True} if folder.curve.exists() or folder.checkpoint.exists() else {}
         write_json(folder.provenance, {"schema_version": SCHEMA_VERSION, **facts, **lost, "resumed": []})
         return []
-    changes = differences(_latest(known), facts)
+    old, new = _flat(known), _flat(facts)
+    for before in known.get("resumed", []):
+        old |= {name: after for name, (_, after) in before["changes"].items()}
+    pairs = {name: (old.get(name, "absent"), new.get(name, "absent")) for name in sorted(old | new)}
+    changes = {name: pair for name, pair in pairs.items() if pair[0] != pair[1]}
     entry = {name: facts[name] for name in _CIRCUMSTANCES} | {"changes": changes}
     known["resumed"] = [*known.get("resumed", []), entry]
     write_json(folder.provenance, known)
     return [f"{name}: {before} -> {after}" for name, (before, after) in changes.items()]
 
 
-def made_with(folder: RunFolder) -> dict[str, str]:
-    """The compared facts of a run by dotted name; `a, then b` where a later attempt differed. Empty without a record.
-
-    Raises:
-        UserError: the file that is there is damaged, cannot be read now, or is of another schema version.
-    """
-    known = read_provenance(folder)
+def made_with(known: Mapping[str, Any] | None) -> dict[str, str]:
+    """The compared facts of a run by dotted name, as its file has them; `a, then b` where a later attempt differed."""
     if known is None:
         return {}
     facts = {name: f"unknown, then {value}" if known.get("lost") else value for name, value in _flat(known).items()}
@@ -146,13 +147,6 @@ def made_with(folder: RunFolder) -> dict[str, str]:
         for name, (before, after) in entry["changes"].items():
             facts[name] = f"{facts.get(name, before)}, then {after}"
     return facts
-
-
-def differences(before: Mapping[str, Any], after: Mapping[str, Any]) -> dict[str, tuple[str, str]]:
-    """Facts that can change numbers and differ, by dotted name, with both values; one that is missing is "absent"."""
-    old, new = _flat(before), _flat(after)
-    pairs = {name: (old.get(name, "absent"), new.get(name, "absent")) for name in sorted(old | new)}
-    return {name: pair for name, pair in pairs.items() if pair[0] != pair[1]}
 
 
 def version(package: str) -> str | None:
@@ -176,14 +170,6 @@ def code_digest(package: str) -> str:
             content = hashlib.sha256(path.read_bytes()).hexdigest()
             digest.update(f"{path.relative_to(root).as_posix()} {content}\n".encode())
     return digest.hexdigest()[:16]
-
-
-def _latest(known: Mapping[str, Any]) -> dict[str, Any]:
-    """The first attempt's facts with the changes of every resumption applied."""
-    facts = _flat(known)
-    for entry in known.get("resumed", []):
-        facts |= {name: after for name, (_, after) in entry["changes"].items()}
-    return facts
 
 
 def _flat(facts: Mapping[str, Any]) -> dict[str, str]:

@@ -3,29 +3,23 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 import os
 from collections.abc import Iterable, Sequence
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass
+from typing import Any
+
+from pydantic import StrictInt, StrictStr
 
 from rrm.errors import nearest
-from rrm.files import open_regular, place, read_bounded
+from rrm.files import open_regular
 from rrmctl.commands import rrmctl
-from rrmctl.errors import UserError
-from rrmctl.store import validation
-from rrmctl.store.curve import LARGEST, decode, rerunning
-from rrmctl.store.files import DamagedError, StorageError, read_json, unreadable
-from rrmctl.store.frame import TEXT, WHOLE, frame, typed
+from rrmctl.errors import UserError, check_known
+from rrmctl.store.files import DamagedError, StorageError
 from rrmctl.store.layout import Layout, RunFolder
 from rrmctl.store.owner import is_owned
-from rrmctl.store.schema import IDENTITY, LABELS, curve_schema
+from rrmctl.store.records import read_json, validated
 from rrmctl.store.status import ErrorKind, RunError, RunState, Status, read_status
-from rrmctl.store.sweeps import JobRecord, Requiring, SweepRecord, read_sweeps
-
-if TYPE_CHECKING:
-    import pandas as pd
-    import pyarrow as pa
+from rrmctl.store.sweeps import Job, SweepRecord, read_sweeps
 
 
 def run_status(folder: RunFolder) -> Status:
@@ -46,27 +40,24 @@ def run_status(folder: RunFolder) -> Status:
     return status
 
 
-def statuses(layout: Layout, jobs: Iterable[Requiring]) -> dict[str, Status]:
+def statuses(layout: Layout, jobs: Iterable[Job]) -> dict[str, Status]:
     """Status of every run named by `jobs`, by id. Ten thousand take well under a second.
 
     A run that is not done while one that it needs, and that is named as well, has failed is blocked, for its reason.
     """
     requires = {job.id: job.requires for job in jobs}
-    found = {run: run_status(layout.run(run)) for run in requires}
+    states = {run: run_status(layout.run(run)) for run in requires}
 
     def look(run: str, above: frozenset[str] = frozenset()) -> Status:
-        status = found[run]
-        if status.state in _WAITING:
+        if states[run].state in _WAITING:
             # Records that were put together by hand may need each other in a circle.
-            needed = (each for each in requires[run] if each in found and each not in above)
-            causes = ((each, look(each, above | {run})) for each in needed)
-            for each, cause in causes:
+            for needed in (needed for needed in requires[run] if needed in states and needed not in above):
+                cause = look(needed, above | {run})
                 if cause.state in (RunState.FAILED, RunState.BLOCKED):
-                    found[run] = dataclasses.replace(
-                        status, state=RunState.BLOCKED, error=blocked_by(each, cause.error)
-                    )
+                    error = blocked_by(needed, cause.error)
+                    states[run] = dataclasses.replace(states[run], state=RunState.BLOCKED, error=error)
                     break
-        return found[run]
+        return states[run]
 
     return {run: look(run) for run in requires}
 
@@ -82,6 +73,26 @@ def blocked_by(run: str, error: RunError | None) -> RunError:
     return RunError(kind=ErrorKind.BLOCKED, type="Blocked", message=reason)
 
 
+#: What to do about a configuration that is not what it should be.
+CONFIG_HINT = "run its experiment again: `rrmctl run NAME` writes it anew"
+
+
+@dataclass(frozen=True)
+class _Config:
+    """What the program itself reads of a configuration; the rest is checked when the run starts."""
+
+    id: StrictStr
+    cell: StrictStr
+    profile: StrictStr
+    task: StrictStr
+    method: StrictStr
+    precision: StrictStr
+    config_version: StrictInt
+    seed: StrictInt
+    steps: StrictInt
+    threads: StrictInt
+
+
 def read_config(folder: RunFolder) -> dict[str, Any]:
     """The run's `config.json`.
 
@@ -89,23 +100,11 @@ def read_config(folder: RunFolder) -> dict[str, Any]:
         DamagedError: there is none, it is damaged, or lacks what every configuration has.
         StorageError: it cannot be read now.
     """
-    try:
-        config = read_json(folder.config)
-    except DamagedError as error:
-        raise DamagedError(str(error), CONFIG_HINT) from error
+    config = read_json(folder.config, CONFIG_HINT)
     if config is None:
         raise DamagedError(f"{folder.config} is missing", CONFIG_HINT)
-    validation.check(config, _CONFIG, folder.config, CONFIG_HINT)
+    validated(_Config, config, folder.config, CONFIG_HINT)
     return config
-
-
-#: What to do about a configuration that is not what it should be.
-CONFIG_HINT = "run its experiment again: `rrmctl run NAME` writes it anew"
-
-#: What the program itself reads; the rest is checked when the run starts.
-_CONFIG = dict.fromkeys(("id", "cell", "profile", "task", "method", "precision"), validation.TEXT) | dict.fromkeys(
-    ("config_version", "seed", "steps", "threads"), validation.WHOLE
-)
 
 
 def log_tail(folder: RunFolder, lines: int = 15) -> list[str]:
@@ -118,131 +117,6 @@ def log_tail(folder: RunFolder, lines: int = 15) -> list[str]:
         return []
     except OSError as error:
         return [f"{folder.log} cannot be read: {error.strerror}"]
-
-
-def read_curve(folder: RunFolder) -> pa.Table | None:
-    """The run's curve as an arrow table; None before its first evaluation.
-
-    Raises:
-        DamagedError: the file is not an intact curve, or is another run's.
-        StorageError: it cannot be read now.
-        VersionError: it is of another schema version.
-    """
-    path = folder.curve
-    try:
-        # In one read: the file may be replaced by its successor at any moment, and this one stays what it was.
-        data = read_bounded(path, LARGEST)
-    except (FileNotFoundError, NotADirectoryError):
-        return None
-    except OSError as error:
-        raise unreadable(path, error) from error
-    table = decode(data, path)
-    others = set(table["run"].unique().to_pylist()) - {folder.id}
-    if others:
-        raise DamagedError(
-            f"{path} is the curve of run {', '.join(sorted(others))}, not of {folder.id}",
-            f"bring back its own, or train the run again: {rerunning(folder)}",
-        )
-    return table
-
-
-def lost_rows(folder: RunFolder, status: Status) -> str | None:
-    """What is wrong with the curve of a run that is done, in words; None when every evaluation is there."""
-    try:
-        table = read_curve(folder)
-    except (DamagedError, StorageError) as error:
-        return str(error)
-    rows = 0 if table is None else table.num_rows
-    if rows >= status.rows:
-        return None
-    if table is None:
-        return f"{folder.curve} is missing, with {status.rows} evaluations"
-    return f"{folder.curve} holds {rows} evaluations, {status.rows} had been written"
-
-
-def load(results: str | Path = "results", experiment: str | None = None) -> pd.DataFrame:
-    """Every evaluation in the store as a tidy DataFrame: one row per experiment, run and evaluation.
-
-    Args:
-        results: the results root.
-        experiment: only this one; default all, and runs that no sweep asked for under the experiment "".
-
-    Returns:
-        Columns `experiment, variant, profile, task, method, teacher, feedback, seed, run, cell, state`, those of
-        `rrm.types.EvalRow`, then whatever figures the runs have: text (`rrmctl.store.frame`), `seed` and what is
-        counted int64, what is measured float64 and NaN where there is nothing. A run that two experiments or two labels
-        share appears once for each.
-
-    Raises:
-        UserError: the experiment has never been run here, or a file is damaged; the message names it.
-    """
-    import pandas as pd
-
-    layout, table = open_results(results), planned(results, experiment)
-    if experiment is None:
-        table = pd.concat([table, _unplanned(layout, set(table["run"]))], ignore_index=True)
-    curves = _curves(layout, list(dict.fromkeys(table["run"])))
-    labels = table[[*LABELS, "run", "cell", "state"]]
-    return labels.merge(curves, on="run", how="inner", sort=False)
-
-
-def planned(results: str | Path = "results", experiment: str | None = None, *, needed: bool = False) -> pd.DataFrame:
-    """Every job a sweep asked for, with where it stands, as a DataFrame.
-
-    Args:
-        needed: instead of the jobs those runs that are there because jobs need them: experts, demonstrations.
-
-    Returns:
-        The columns of `PLANNED`: `overrides` is JSON, `state` one of `rrmctl.store.status.RunState`, `step` the last
-        known of a run and `steps` its length, `error` empty where there was none. `seed`, `attempt`, `step` and
-        `steps` are int64, the others text (`rrmctl.store.frame`).
-
-    Raises:
-        UserError: the experiment has never been run here, or a sweep record is damaged.
-    """
-    layout = open_results(results)
-    sweeps = find_sweeps(layout, experiment) if experiment is not None else read_sweeps(layout)
-    states = statuses(layout, (job for sweep in sweeps for job in sweep.everything))
-    rows = (
-        _planned_row(sweep, job, states[job.id])
-        for sweep in sweeps
-        for job in (sweep.merely_needed if needed else sweep.jobs)
-    )
-    return frame(rows, PLANNED_KINDS)
-
-
-#: Columns of `planned`.
-PLANNED = (
-    "experiment", "variant", "profile", "overrides", "task", "method", "teacher", "feedback", "seed", "run", "cell",
-    "state", "attempt", "step", "steps", "error",
-)  # fmt: skip
-#: The same with their types.
-PLANNED_KINDS = dict.fromkeys(PLANNED, TEXT) | dict.fromkeys(("seed", "attempt", "step", "steps"), WHOLE)
-
-
-def open_results(results: str | Path) -> Layout:
-    """The layout of an existing results root.
-
-    Raises:
-        UserError: there is no such folder.
-    """
-    layout = new_results(results)
-    if not layout.root.is_dir():
-        begin = rrmctl("run", "quickstart", results=layout.root)
-        raise UserError(f"there is no results folder {layout.root}", f"`{begin}` makes one; --results names another")
-    return layout
-
-
-def new_results(results: str | Path) -> Layout:
-    """The layout of a results root, whether or not it exists.
-
-    Raises:
-        UserError: it is a file.
-    """
-    root = place(results)
-    if root.exists() and not root.is_dir():
-        raise UserError(f"{root} is a file, not a folder", "name a folder with --results; the default is results")
-    return Layout(root)
 
 
 def find_sweeps(layout: Layout, experiment: str) -> list[SweepRecord]:
@@ -268,6 +142,29 @@ def never_run(layout: Layout, *experiments: str) -> UserError:
     return UserError(f'{layout.root} holds no runs of "{experiments[0]}"{near}', f"it holds: {', '.join(known)}{start}")
 
 
+def chosen_experiments(layout: Layout, asked: Sequence[str]) -> list[str]:
+    """The experiments that are asked for, each once; all of the store where none is.
+
+    Raises:
+        UserError: the store holds no run of one, or none at all.
+    """
+    known = layout.experiments()
+    unknown = [name for name in asked if name not in known]
+    if unknown or not known:
+        raise never_run(layout, *unknown)
+    return list(dict.fromkeys(asked)) or known
+
+
+def check_profile(profile: str | None, present: Iterable[str]) -> None:
+    """Refuse a profile of which there are no runs; None asks for none.
+
+    Raises:
+        UserError: with the nearest that there is.
+    """
+    if profile is not None:
+        check_known(profile, sorted(set(present)), f'no runs of profile "{profile}"', "there are runs of")
+
+
 def find_run(layout: Layout, prefix: str) -> RunFolder:
     """The folder of the one run whose id starts with `prefix`.
 
@@ -287,33 +184,3 @@ def find_run(layout: Layout, prefix: str) -> RunFolder:
 
 def _ids(layout: Layout) -> str:
     return f"ids are the names of the folders in {layout.root / 'runs'}"
-
-
-def _planned_row(sweep: SweepRecord, job: JobRecord, status: Status) -> tuple[Any, ...]:
-    overrides = json.dumps(sweep.overrides, sort_keys=True)
-    labels = (*job.row, job.seed, job.id, job.cell)
-    progress = (str(status.state), status.attempt, status.step, job.steps, str(status.error or ""))
-    return (sweep.experiment, sweep.variant, sweep.profile, overrides, *labels, *progress)
-
-
-def _unplanned(layout: Layout, known: set[str]) -> pd.DataFrame:
-    """Rows like those of `planned`, for run folders that no sweep names."""
-    rows = []
-    for run in (name for name in layout.run_ids() if name not in known):
-        if not layout.run(run).config.exists():
-            continue  # somebody is about to write it, or died there: nothing has been run yet
-        config, status = read_config(layout.run(run)), run_status(layout.run(run))
-        told = {key: config.get(key) for key in ("profile", "task", "method", "seed", "cell", "steps")}
-        blank = {"experiment": "", "variant": "", "overrides": "{}", "teacher": "", "feedback": ""}
-        progress = {"state": str(status.state), "attempt": status.attempt, "step": status.step}
-        rows.append(blank | told | progress | {"run": run, "error": str(status.error or "")})
-    return frame(rows, PLANNED_KINDS)
-
-
-def _curves(layout: Layout, runs: Sequence[str]) -> pd.DataFrame:
-    """`run`, the measured columns and the figures of all these runs; NaN where a run has no such figure."""
-    import pyarrow as pa
-
-    tables = [table for run in runs if (table := read_curve(layout.run(run))) is not None]
-    curves: pa.Table = pa.concat_tables([curve_schema().empty_table(), *tables], promote_options="default")
-    return typed(curves.drop_columns([name for name in IDENTITY if name != "run"]).to_pandas(use_threads=False))

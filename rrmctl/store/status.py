@@ -4,23 +4,18 @@ from __future__ import annotations
 
 import dataclasses
 import os
-from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import StrEnum
-from pathlib import Path
-from typing import Any, Self
+from typing import Any
+
+from pydantic import ConfigDict, StrictBool, StrictFloat, StrictInt, StrictStr
 
 from rrmctl.commands import rrmctl
-from rrmctl.store import validation
-from rrmctl.store.files import (
-    PATIENCE_S,
-    DamagedError,
-    read_json,
-    set_aside,
-    write_json,
-)
+from rrmctl.store.files import DamagedError, set_aside
 from rrmctl.store.layout import RunFolder
+from rrmctl.store.locks import PATIENCE_S
 from rrmctl.store.owner import lock_free
+from rrmctl.store.records import check_version, read_json, validated, write_json
 from rrmctl.store.schema import SCHEMA_VERSION
 
 
@@ -57,80 +52,36 @@ class RunError:
     """What stopped a run."""
 
     kind: ErrorKind
-    type: str  #: the exception's class, or the signal's name
-    message: str
+    type: StrictStr  #: the exception's class, or the signal's name
+    message: StrictStr
 
     def __str__(self) -> str:
         # A place, a file or a run is named by the message; the class says no more.
         named = self.kind in (ErrorKind.STORAGE, ErrorKind.MISSING, ErrorKind.WAITING, ErrorKind.BLOCKED)
         return self.message if named else f"{self.type}: {self.message}"
 
-    @classmethod
-    def from_json(cls, value: Mapping[str, Any]) -> Self:
-        """The inverse of `dataclasses.asdict`."""
-        return cls(kind=ErrorKind(value["kind"]), type=str(value["type"]), message=str(value["message"]))
-
 
 @dataclass(frozen=True, kw_only=True)
 class Status:
     """Contents of `status.json`. Times are seconds since the epoch, steps are environment steps."""
 
+    __pydantic_config__ = ConfigDict(extra="forbid")
+
     state: RunState = RunState.QUEUED
-    attempt: int = 0  #: how often a worker took the run up
-    step: int = 0  #: reached at the last heartbeat
-    steps: int = 0  #: of the whole run
-    rows: int = 0  #: evaluations known to be in the curve
-    success: float | None = None  #: of the last evaluation
-    true_return: float | None = None  #: of the last evaluation
-    steps_per_s: float | None = None
-    wall_s: float | None = None  #: training time at the last evaluation, seconds
-    pid: int | None = None
-    host: str | None = None
-    started: float | None = None  #: when the last attempt began
-    heartbeat: float | None = None
-    discard: bool = False  #: what the run holds is to be removed before it starts again
+    attempt: StrictInt = 0  #: how often a worker took the run up
+    step: StrictInt = 0  #: reached at the last heartbeat
+    steps: StrictInt = 0  #: of the whole run
+    rows: StrictInt = 0  #: evaluations known to be in the curve
+    success: StrictFloat | None = None  #: of the last evaluation
+    true_return: StrictFloat | None = None  #: of the last evaluation
+    steps_per_s: StrictFloat | None = None
+    wall_s: StrictFloat | None = None  #: training time at the last evaluation, seconds
+    pid: StrictInt | None = None
+    host: StrictStr | None = None
+    started: StrictFloat | None = None  #: when the last attempt began
+    heartbeat: StrictFloat | None = None
+    discard: StrictBool = False  #: what the run holds is to be removed before it starts again
     error: RunError | None = None
-
-    def to_json(self) -> dict[str, Any]:
-        """A JSON object; `from_json` is the inverse."""
-        return {"schema_version": SCHEMA_VERSION, **dataclasses.asdict(self)}
-
-    @classmethod
-    def from_json(cls, value: dict[str, Any], path: Path) -> Self:
-        """The status read from `path`.
-
-        Raises:
-            VersionError: it is of another schema version.
-            DamagedError: it lacks or mistakes a field.
-        """
-        content, hint = dict(value), _hint(path)
-        validation.check_version(content, path, hint)
-        validation.check(content, _STATUS, path, hint)
-        error = content.pop("error")
-        if error is not None:
-            validation.check(error, _ERROR, path, hint, "error.")
-        try:
-            state = RunState(content.pop("state"))
-            return cls(**content, state=state, error=None if error is None else RunError.from_json(error))
-        except (TypeError, ValueError) as problem:  # a word that is no state, a field nobody knows
-            raise DamagedError(f"{path} is damaged: {problem}", hint) from problem
-
-
-def _hint(path: Path) -> str:
-    resume = rrmctl("resume", results=RunFolder(path.parent).results)
-    return f"move it away: `{resume}` goes on from the curve and the checkpoint"
-
-
-_ERROR = dict.fromkeys(("kind", "type", "message"), validation.TEXT)
-
-_STATUS = (
-    {"state": validation.TEXT, "discard": validation.FLAG, "error": validation.OBJECT + validation.NONE}
-    | dict.fromkeys(("attempt", "step", "steps", "rows"), validation.WHOLE)
-    | dict.fromkeys(
-        ("success", "true_return", "steps_per_s", "wall_s", "started", "heartbeat"), validation.NUMBER + validation.NONE
-    )
-    | {"pid": validation.WHOLE + validation.NONE, "host": validation.TEXT + validation.NONE}
-)
 
 
 def read_status(folder: RunFolder) -> Status:
@@ -141,13 +92,18 @@ def read_status(folder: RunFolder) -> Status:
         StorageError: it cannot be read now.
         VersionError: it is of another schema version.
     """
-    value = read_json(folder.status)
-    return Status() if value is None else Status.from_json(value, folder.status)
+    resume = rrmctl("resume", results=folder.results)
+    hint = f"move it away: `{resume}` goes on from the curve and the checkpoint"
+    content = read_json(folder.status)
+    if content is None:
+        return Status()
+    check_version(content.pop("schema_version", None), folder.status, hint)
+    return validated(Status, content, folder.status, hint)
 
 
 def write_status(folder: RunFolder, status: Status) -> None:
     """Replace the run's status. Only for the holder of its lock."""
-    write_json(folder.status, status.to_json())
+    write_json(folder.status, {"schema_version": SCHEMA_VERSION, **dataclasses.asdict(status)})
 
 
 def record_failure(folder: RunFolder, error: RunError) -> None:

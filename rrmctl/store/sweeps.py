@@ -7,29 +7,34 @@ import graphlib
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Protocol, Self
+from typing import Any
+
+from pydantic import ConfigDict, StrictInt, StrictStr
 
 from rrmctl.errors import UserError
 from rrmctl.labels import Label
-from rrmctl.store import validation
-from rrmctl.store.files import DamagedError, StorageError, locked, read_json, remove_leftovers, set_aside, write_json
+from rrmctl.store.files import DamagedError, StorageError, remove_leftovers, set_aside
 from rrmctl.store.layout import Layout
+from rrmctl.store.locks import locked
+from rrmctl.store.records import RunId, check_version, read_json, validated, write_json
 from rrmctl.store.schema import SCHEMA_VERSION
 
 
 @dataclass(frozen=True, kw_only=True)
-class JobRecord:
+class Job:
     """One planned job: which run it is, and what it is called in its experiment."""
 
-    id: str
-    cell: str
-    task: str
-    method: str
-    teacher: str
-    feedback: str
-    seed: int
-    steps: int
-    requires: tuple[str, ...] = ()  #: ids of the runs that must be done before it
+    __pydantic_config__ = ConfigDict(extra="forbid")
+
+    id: RunId  #: the run's identity
+    cell: StrictStr  #: the identity of all seeds together
+    task: StrictStr
+    method: StrictStr
+    teacher: StrictStr  #: `NOTHING_ASKED` where nothing is
+    feedback: StrictStr  #: "50@5000/5000": queries of a session, steps between sessions, queries in all; or the same
+    seed: StrictInt
+    steps: StrictInt  #: of the whole run
+    requires: tuple[RunId, ...] = ()  #: ids of the runs that must be done before it
 
     @property
     def row(self) -> Label:
@@ -51,22 +56,24 @@ class JobRecord:
 class SweepRecord:
     """What `run` was asked for: one variant (profile and overrides) of an experiment."""
 
-    experiment: str
-    variant: str
-    profile: str
+    __pydantic_config__ = ConfigDict(extra="forbid")
+
+    experiment: StrictStr
+    variant: StrictStr
+    profile: StrictStr
     overrides: dict[str, Any] = field(default_factory=dict)
-    jobs: tuple[JobRecord, ...] = ()
-    needed: tuple[JobRecord, ...] = ()  #: runs that jobs need; nothing reports them, and some may be jobs as well
-    priors: tuple[str, ...] = ()  #: of `--prior`, which added methods to those of the manifest
-    superseded: tuple[JobRecord, ...] = ()  #: another run was asked for in their place, of other settings or files
+    jobs: tuple[Job, ...] = ()
+    needed: tuple[Job, ...] = ()  #: runs that jobs need; nothing reports them, and some may be jobs as well
+    priors: tuple[StrictStr, ...] = ()  #: of `--prior`, which added methods to those of the manifest
+    superseded: tuple[Job, ...] = ()  #: another run was asked for in their place, of other settings or files
 
     @property
-    def everything(self) -> tuple[JobRecord, ...]:
+    def everything(self) -> tuple[Job, ...]:
         """Every run, those that are only needed first; one that several rows share is there for each of them."""
         return (*self.merely_needed, *self.jobs)
 
     @property
-    def merely_needed(self) -> tuple[JobRecord, ...]:
+    def merely_needed(self) -> tuple[Job, ...]:
         """Runs that jobs need and that are no jobs themselves."""
         known = {job.id: job for job in (*self.superseded, *self.needed)}
         wanted = required(self.jobs, known.values()) - {job.id for job in self.jobs}
@@ -79,114 +86,33 @@ class SweepRecord:
         priors = tuple(dict.fromkeys((*self.priors, *other.priors)))
         return dataclasses.replace(self, jobs=jobs, superseded=superseded, needed=needed, priors=priors)
 
-    def to_json(self) -> dict[str, Any]:
-        """A JSON object; `from_json` is the inverse. Superseded jobs stand before what replaced them."""
-        order = {job.place: at for at, job in enumerate(self.jobs)}
-        jobs = sorted((*self.superseded, *self.jobs), key=lambda job: order[job.place])
-        content = dataclasses.asdict(dataclasses.replace(self, jobs=tuple(jobs)))
-        left_out = {"superseded", *(() if self.priors else ("priors",))}  # earlier programs know no priors
-        return {"schema_version": SCHEMA_VERSION, **{key: content[key] for key in content if key not in left_out}}
 
-    @classmethod
-    def from_json(cls, value: dict[str, Any], path: Path) -> Self:
-        """The record read from `path`.
-
-        Raises:
-            VersionError: it is of another schema version.
-            DamagedError: it lacks or mistakes a field, or is another sweep's: files are named after what it says.
-        """
-        content, hint = dict(value), _sweep_hint(path)
-        validation.check_version(content, path, hint)
-        validation.check(content, _SWEEP, path, hint)
-        if (content["experiment"], content["variant"]) != (path.parent.name, path.stem):
-            told = f"{content['experiment']!r} ({content['variant']!r})"
-            raise DamagedError(f"{path} is damaged: it is the record of {told}", hint)
-        try:
-            named, needed = (_jobs(content.pop(name, []), name, path) for name in ("jobs", "needed"))
-            _check_order((*named, *needed), path)
-            jobs, superseded = _told_apart(named)
-            priors = content.pop("priors", [])
-            validation.check({"priors": priors}, {"priors": validation.LIST}, path, hint)
-            texts = {f"priors[{number}]": prior for number, prior in enumerate(priors)}
-            validation.check(texts, dict.fromkeys(texts, validation.TEXT), path, hint)
-            return cls(**content, jobs=jobs, superseded=superseded, needed=needed, priors=tuple(priors))
-        except TypeError as problem:  # a field nobody knows
-            raise DamagedError(f"{path} is damaged: {problem}", hint) from problem
+def write_sweep(path: Path, sweep: SweepRecord) -> None:
+    """Superseded jobs stand before what replaced them."""
+    order = {job.place: at for at, job in enumerate(sweep.jobs)}
+    jobs = sorted((*sweep.superseded, *sweep.jobs), key=lambda job: order[job.place])
+    content = {"schema_version": SCHEMA_VERSION, **dataclasses.asdict(dataclasses.replace(sweep, jobs=tuple(jobs)))}
+    del content["superseded"]
+    if not sweep.priors:
+        del content["priors"]  # earlier programs know none
+    write_json(path, content)
 
 
-def _told_apart(named: Sequence[JobRecord]) -> tuple[tuple[JobRecord, ...], tuple[JobRecord, ...]]:
+def _told_apart(named: Sequence[Job]) -> tuple[tuple[Job, ...], tuple[Job, ...]]:
     """Of jobs that were named one after the other, the last in each place; and those that they superseded."""
     latest = {job.place: job for job in named}
     return tuple(latest.values()), tuple(dict.fromkeys(job for job in named if latest[job.place].id != job.id))
 
 
-class Requiring(Protocol):
-    """A planned or recorded job."""
-
-    @property
-    def id(self) -> str:
-        """Of its run."""
-
-    @property
-    def requires(self) -> tuple[str, ...]:
-        """Ids of the runs that must be done before it."""
-
-
-def required(jobs: Iterable[Requiring], known: Iterable[Requiring]) -> set[str]:
+def required(jobs: Iterable[Job], known: Iterable[Job]) -> set[str]:
     """Ids of the runs that jobs need, and that those need, as far as they are known."""
     requires = {job.id: job.requires for job in known}
-    left, found = [run for job in jobs for run in job.requires], set[str]()
+    left, needed = [run for job in jobs for run in job.requires], set[str]()
     while left:
         run = left.pop()
-        left += () if run in found else requires.get(run, ())
-        found.add(run)
-    return found
-
-
-_SWEEP = {
-    **dict.fromkeys(("experiment", "variant", "profile"), validation.TEXT),
-    "overrides": validation.OBJECT,
-    "jobs": validation.LIST,
-}
-
-_JOB = dict.fromkeys(("id", "cell", "task", "method", "teacher", "feedback"), validation.TEXT) | dict.fromkeys(
-    ("seed", "steps"), validation.WHOLE
-)
-
-
-def _jobs(values: Any, name: str, path: Path) -> tuple[JobRecord, ...]:
-    validation.check({name: values}, {name: validation.LIST}, path, _sweep_hint(path))
-    return tuple(_job(value, f"{name}[{number}]", path) for number, value in enumerate(values))
-
-
-def _job(value: Any, where: str, path: Path) -> JobRecord:
-    hint = _sweep_hint(path)
-    validation.check({where: value}, {where: validation.OBJECT}, path, hint)
-    validation.check(value, _JOB, path, hint, f"{where}.")
-    validation.check_run_id(value["id"], path, hint, f"{where}.id")
-    requires = value.get("requires", [])
-    validation.check({f"{where}.requires": requires}, {f"{where}.requires": validation.LIST}, path, hint)
-    for run in requires:
-        validation.check({f"{where}.requires": run}, {f"{where}.requires": validation.TEXT}, path, hint)
-        validation.check_run_id(run, path, hint, f"{where}.requires")
-    return JobRecord(**{**value, "requires": tuple(requires)})
-
-
-def _check_order(jobs: Sequence[JobRecord], path: Path) -> None:
-    requires = {job.id: job.requires for job in jobs if job.requires}
-    try:
-        graphlib.TopologicalSorter(requires).prepare()
-    except graphlib.CycleError as problem:
-        circle = ", ".join(problem.args[1])
-        raise DamagedError(
-            f"{path} is damaged: runs need each other in a circle: {circle}", _sweep_hint(path)
-        ) from None
-
-
-def _sweep_hint(path: Path) -> str:
-    return (
-        f"the `rrmctl run {path.parent.name} ...` that made it sets it aside, makes it again and trains nothing twice"
-    )
+        left += () if run in needed else requires.get(run, ())
+        needed.add(run)
+    return needed
 
 
 def read_sweeps(layout: Layout, experiment: str | None = None) -> list[SweepRecord]:
@@ -227,11 +153,25 @@ def read_sweep(path: Path) -> SweepRecord | None:
     Raises:
         UserError: it is damaged, cannot be read now, or is of another schema version.
     """
+    made = f"the `rrmctl run {path.parent.name} ...` that made it"
+    hint = f"{made} sets it aside, makes it again and trains nothing twice"
+    content = read_json(path, hint)
+    if content is None:
+        return None
+    check_version(content.pop("schema_version", None), path, hint)
+    sweep = validated(SweepRecord, content, path, hint, "needed priors superseded")
+    if (sweep.experiment, sweep.variant) != (path.parent.name, path.stem):  # files are named after what they say
+        told = f"it is the record of {sweep.experiment!r} ({sweep.variant!r})"
+        raise DamagedError(f"{path} is damaged: {told}", hint)
     try:
-        value = read_json(path)
-    except DamagedError as error:
-        raise DamagedError(str(error), _sweep_hint(path)) from error
-    return None if value is None else SweepRecord.from_json(value, path)
+        graphlib.TopologicalSorter(
+            {job.id: job.requires for job in (*sweep.jobs, *sweep.needed) if job.requires}
+        ).prepare()
+    except graphlib.CycleError as error:
+        told = f"runs need each other in a circle: {', '.join(error.args[1])}"
+        raise DamagedError(f"{path} is damaged: {told}", hint) from None
+    jobs, superseded = _told_apart(sweep.jobs)
+    return dataclasses.replace(sweep, jobs=jobs, superseded=superseded)
 
 
 def set_damaged_aside(layout: Layout, path: Path) -> str | None:
@@ -263,5 +203,5 @@ def record_sweep(layout: Layout, asked: SweepRecord) -> SweepRecord:
         known = read_sweep(path)
         union = (known or asked).union(asked)
         if union != known:
-            write_json(path, union.to_json())
+            write_sweep(path, union)
     return union

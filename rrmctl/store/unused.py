@@ -6,13 +6,14 @@ import contextlib
 import dataclasses
 import os
 import shutil
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 
 from rrm.files import sync_folder
-from rrmctl.store.files import PATIENCE_S, locked, storage_error, write_json
+from rrmctl.store.files import storage_error
 from rrmctl.store.layout import Layout, RunFolder
+from rrmctl.store.locks import PATIENCE_S, locked
 from rrmctl.store.owner import lock_free
-from rrmctl.store.sweeps import read_sweeps
+from rrmctl.store.sweeps import read_sweeps, write_sweep
 
 
 def unused(layout: Layout) -> list[str]:
@@ -34,24 +35,17 @@ def remove(layout: Layout, runs: Iterable[str]) -> list[str]:
         StorageError: the results folder takes no write.
         UserError: as `unused`.
     """
-    with _recording_kept_out(layout):
+    with contextlib.ExitStack() as recording_kept_out:
+        for experiment in layout.experiments():
+            recording_kept_out.enter_context(locked(layout.sweep_lock(experiment)))
         for half in (layout.root / "runs").glob(".*.removed"):  # what was begun by one that was killed
             shutil.rmtree(half)
         gone = [run for run in unused(layout) if run in set(runs) and _remove(layout.run(run))]
         for sweep in read_sweeps(layout):
             left = tuple(job for job in sweep.superseded if job.id not in gone)
             if left != sweep.superseded:
-                path = layout.sweep(sweep.experiment, sweep.variant)
-                write_json(path, dataclasses.replace(sweep, superseded=left).to_json())
+                write_sweep(layout.sweep(sweep.experiment, sweep.variant), dataclasses.replace(sweep, superseded=left))
     return gone
-
-
-@contextlib.contextmanager
-def _recording_kept_out(layout: Layout) -> Iterator[None]:
-    with contextlib.ExitStack() as stack:
-        for experiment in layout.experiments():
-            stack.enter_context(locked(layout.sweep_lock(experiment)))
-        yield
 
 
 def _remove(run: RunFolder) -> bool:
@@ -59,14 +53,13 @@ def _remove(run: RunFolder) -> bool:
     lock = lock_free(run, PATIENCE_S)
     if lock is None:
         return False
-    folder = run.path
-    aside = folder.with_name(f".{folder.name}.removed")
+    aside = run.path.with_name(f".{run.id}.removed")
     try:
-        folder.rename(aside)
-        sync_folder(folder.parent)
+        run.path.rename(aside)
+        sync_folder(aside.parent)
         shutil.rmtree(aside)
     except OSError as error:
-        raise storage_error(folder, error, "remove") from error
+        raise storage_error(run.path, error, "remove") from error
     finally:
         os.close(lock)
     return True

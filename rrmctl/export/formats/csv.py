@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING, Any
 import rrm
 from rrmctl.export.bundle import RUN_COLUMNS, Bundle, Field, described
 from rrmctl.store.files import write_bytes
-from rrmctl.store.inventory import table
 from rrmctl.store.schema import SCHEMA_VERSION
+from rrmctl.store.snapshot import table
 
 if TYPE_CHECKING:
     import pandas as pd

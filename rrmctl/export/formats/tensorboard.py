@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any
 from rrmctl.export.bundle import Bundle
 from rrmctl.export.extras import require
 from rrmctl.store.files import write_bytes
-from rrmctl.store.inventory import Run, settings
+from rrmctl.store.snapshot import Run, settings
 
 if TYPE_CHECKING:
     from tensorboard.compat.proto.event_pb2 import Event

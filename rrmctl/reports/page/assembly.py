@@ -16,18 +16,18 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 
 import rrm
 from rrmctl.errors import UserError
-from rrmctl.reports import names as asked
 from rrmctl.reports.page.chapter import Variant, chapter
 from rrmctl.reports.page.listings import TROUBLE, columns
 from rrmctl.reports.page.parts import Part, Table
 from rrmctl.reports.page.table_parts import SEVERAL, gather, tables_at
 from rrmctl.reports.run_facts import total
-from rrmctl.reports.select import read_sections
+from rrmctl.reports.select import sections_of
 from rrmctl.reports.series import Section
 from rrmctl.reports.statistics import DEFAULTS, Statistics
 from rrmctl.reports.tables import explained
-from rrmctl.store.inventory import inventory
-from rrmctl.store.reader import open_results
+from rrmctl.store.layout import open_results
+from rrmctl.store.reader import check_profile, chosen_experiments
+from rrmctl.store.snapshot import Snapshot
 
 
 def build(
@@ -48,10 +48,10 @@ def build(
     Raises:
         UserError: the store holds no run of an experiment or profile that is named, or none at all; a file is damaged.
     """
-    names = asked.experiments(open_results(results), experiments)
-    found = [each for name in names for each in _variants(results, name, allow_mixed=allow_mixed)]
-    asked.check_profile(profile, (str(each.runs[0].plan["profile"]) for each in found))
-    variants = [each for each in found if profile in (None, each.runs[0].plan["profile"])]
+    names = chosen_experiments(open_results(results), experiments)
+    found = [variant for name in names for variant in _variants(Snapshot(results, name), name, allow_mixed=allow_mixed)]
+    check_profile(profile, (str(variant.runs[0].plan["profile"]) for variant in found))
+    variants = [variant for variant in found if profile in (None, variant.runs[0].plan["profile"])]
     sections = [each.section for each in variants if isinstance(each.section, Section) and each.section.contained]
     gathered = gather(sections, settings)
     rules = [Part(title=title, rules=sentences) for title, sentences in explained().items()]
@@ -65,14 +65,13 @@ def build(
     return render(page, _command(results, experiments, profile, settings, allow_mixed))
 
 
-def _variants(results: str | Path, experiment: str, *, allow_mixed: bool) -> Iterator[Variant]:
+def _variants(store: Snapshot, experiment: str, *, allow_mixed: bool) -> Iterator[Variant]:
     """The variants of an experiment, with what may be averaged of each or why nothing may."""
-    runs, needed = inventory(results, experiment), inventory(results, experiment, needed=True)
+    runs, needed = store.runs(), store.runs(needed=True)
     names = dict.fromkeys(str(run.plan["variant"]) for run in runs)
     shown: dict[str, Section | UserError] = {}
     try:
-        found = read_sections(results, experiment, allow_mixed=allow_mixed)
-        shown = {section.variant: section.refusal or section for section in found}
+        shown = {section.variant: section.refusal or section for section in sections_of(store, allow_mixed=allow_mixed)}
     except UserError as error:
         shown = dict.fromkeys(names, error)
     for variant in names:

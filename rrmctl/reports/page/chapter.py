@@ -18,7 +18,7 @@ from rrmctl.reports.page.parts import Part, Picture, identifier
 from rrmctl.reports.page.table_parts import Tables, rank, tables_at
 from rrmctl.reports.series import Section
 from rrmctl.reports.statistics import Statistics
-from rrmctl.store.inventory import Run
+from rrmctl.store.snapshot import Run
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -12,7 +12,7 @@ from rrmctl.commands import run_commands
 from rrmctl.labels import NOTHING_ASKED
 from rrmctl.reports.page.parts import Column, Part, Table
 from rrmctl.reports.run_facts import GROUP, common_settings, differing_settings, makings, spending, total
-from rrmctl.store.inventory import Run
+from rrmctl.store.snapshot import Run
 
 if TYPE_CHECKING:
     import pandas as pd

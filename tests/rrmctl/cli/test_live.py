@@ -10,12 +10,15 @@ import pytest
 
 from rrmctl.cli.live import Bars, Lines, score
 from rrmctl.running.scheduler import Ending, Outcome, Stage
-from rrmctl.running.supervisor import Assignment
 from rrmctl.store.layout import Layout
 from rrmctl.store.status import ErrorKind, RunError
+from rrmctl.store.sweeps import Job
 from rrmctl.terminal import console
 
-JOBS = [Assignment(id=run, label=f"t pebble seed {seed}", steps=1000) for seed, run in enumerate("ab")]
+JOBS = [
+    Job(id=run, cell="", task="t", method="pebble", teacher="-", feedback="-", seed=seed, steps=1000)
+    for seed, run in enumerate("ab")
+]
 
 
 def failure(kind: ErrorKind = ErrorKind.CRASHED) -> Outcome:

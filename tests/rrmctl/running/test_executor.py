@@ -66,7 +66,7 @@ def test_threads_can_run_a_sweep(tmp_path: Path) -> None:
     """All end, the one that crashed was tried again behind the others, and every event reached the watcher."""
     layout, assigned = prepare(tmp_path, range(4))
     executor, watcher = Threads(layout, assigned[0].id), Record()
-    pool = Supervisor(layout=layout, assignments=assigned, slots=2, watcher=watcher, executor=executor)
+    pool = Supervisor(layout=layout, jobs=assigned, slots=2, watcher=watcher, executor=executor)
     assert pool.run() is Exit.DONE
     assert [order.run for order in executor.orders] == [*(job.id for job in assigned), assigned[0].id]
     assert set(watcher.phases.values()) == {Stage.DONE}
