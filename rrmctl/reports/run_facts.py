@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 from rrmctl.labels import Label
 from rrmctl.store.frame import NUMBER, TEXT, WHOLE, frame
-from rrmctl.store.snapshot import Run, settings
+from rrmctl.store.records import settings
+from rrmctl.store.snapshot import Run
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -45,15 +45,15 @@ class RunMonitor:
         values = row.columns()
         with self.writing():
             self._curve.add(values)
-        shown = {name: _finite(values[name]) for name in ("success", "true_return", "wall_s")}
-        self._update(rows=len(self._curve), step=row.step, steps_per_s=_finite(row.steps_per_s), **shown)
-        self._write()
+        shown = {name: _finite(values[name]) for name in ("success", "true_return", "wall_s", "steps_per_s")}
+        self._write(rows=len(self._curve), step=row.step, **shown)
         self._pipe.send(event="row", step=row.step, success=shown["success"], true_return=shown["true_return"])
 
     def beat(self, step: int, steps_per_s: float) -> None:
         """Show a sign of life."""
-        self._update(step=step, steps_per_s=_finite(steps_per_s))
-        self._pipe.beat(step, steps_per_s)
+        speed = _finite(steps_per_s)
+        self._pipe.beat(step=step, steps_per_s=speed)
+        self.status = dataclasses.replace(self.status, step=step, steps_per_s=speed)
         if time.monotonic() - self._written >= HEARTBEAT_S:
             self._write()
 
@@ -71,14 +71,11 @@ class RunMonitor:
 
     def close(self, state: RunState) -> None:
         """Record how the attempt ended."""
-        self._update(state=state)
-        self._write()
+        self._write(state=state)
         say(f"--- {state} at step {self.status.step}")
 
-    def _update(self, **changes: Any) -> None:
+    def _write(self, **changes: Any) -> None:
         self.status = dataclasses.replace(self.status, **changes, heartbeat=time.time())
-
-    def _write(self) -> None:
         with self.writing():
             write_status(self._lease.folder, self.status)
         self._written = time.monotonic()

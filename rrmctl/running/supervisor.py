@@ -11,9 +11,9 @@ import json
 import signal
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from typing import Protocol
 
 from rrmctl.errors import Exit, UserError
 from rrmctl.running.executor import Ended, Evaluated, Event, Executor, Note, Progress, Started, WorkOrder
@@ -48,26 +48,13 @@ class Terms:
 class Watcher(Protocol):
     """Who is told what happens; see `rrmctl.cli.live`."""
 
-    def started(self, job: str, attempt: int) -> None:
-        """A worker took the run up."""
-
-    def beat(self, job: str, step: int, steps_per_s: float | None) -> None:
-        """Progress in environment steps."""
-
-    def row(self, job: str, step: int, success: float | None, true_return: float | None) -> None:
-        """An evaluation."""
-
-    def note(self, job: str, text: str) -> None:
-        """Something a person should read."""
-
-    def ended(self, job: str, outcome: Outcome, phase: Stage) -> None:
-        """An attempt ended; `phase` says what becomes of the job."""
-
-    def stopping(self, workers: int, wait_s: float) -> None:
-        """Workers were asked to checkpoint and leave."""
-
-    def tick(self) -> None:
-        """Called several times a second."""
+    def started(self, job: str, attempt: int) -> None: ...  #: a worker took the run up
+    def beat(self, job: str, step: int, steps_per_s: float | None) -> None: ...  #: environment steps
+    def row(self, job: str, step: int, success: float | None, true_return: float | None) -> None: ...  #: an evaluation
+    def note(self, job: str, text: str) -> None: ...  #: something a person should read
+    def ended(self, job: str, outcome: Outcome, phase: Stage) -> None: ...  #: an attempt; `phase`: of the job from now
+    def stopping(self, workers: int, wait_s: float) -> None: ...  #: they were asked to checkpoint and leave
+    def tick(self) -> None: ...  #: several times a second
 
 
 @dataclass(kw_only=True)
@@ -105,7 +92,7 @@ class Supervisor:
         Returns:
             `DONE`, `FAILED`, `INCOMPLETE`, or `INTERRUPTED` after a second signal.
         """
-        with _signals_to(self._on_signal):
+        with self._heeding_signals():
             try:
                 while not self.scheduler.finished:
                     self._look_elsewhere()
@@ -119,6 +106,22 @@ class Supervisor:
                 return self.scheduler.exit_code()
             finally:
                 self.executor.close()
+
+    @contextlib.contextmanager
+    def _heeding_signals(self) -> Iterator[None]:
+        """Count SIGINT and SIGTERM. Main thread only: Python allows handlers nowhere else."""
+
+        def count(_number: int, _frame: object) -> None:
+            self._signals += 1
+
+        main = threading.current_thread() is threading.main_thread()
+        numbers = (signal.SIGINT, signal.SIGTERM) if main else ()
+        before = {number: signal.signal(number, count) for number in numbers}
+        try:
+            yield
+        finally:
+            for number, handler in before.items():
+                signal.signal(number, handler)
 
     def _start_waiting(self) -> None:
         if time.monotonic() < self._start_at:
@@ -204,9 +207,6 @@ class Supervisor:
                     outcome = _failure(ErrorKind.CRASHED, "Exit", "left with exit code 0 before its end")
                 self._conclude(run, outcome)
 
-    def _on_signal(self) -> None:
-        self._signals += 1
-
     def _obey(self) -> None:
         """Act on signals that have arrived, outside their handlers; and on workers that take too long to leave."""
         if self._signals and self._kill_at is None:
@@ -232,17 +232,3 @@ class Supervisor:
 
 def _failure(kind: ErrorKind, name: str, message: str) -> Outcome:
     return Outcome(Ending.FAILED, RunError(kind=kind, type=name, message=message))
-
-
-@contextlib.contextmanager
-def _signals_to(handler: Callable[[], None]) -> Iterator[None]:
-    """Call `handler` on SIGINT and SIGTERM. Main thread only: Python allows handlers nowhere else."""
-    before: dict[signal.Signals, Any] = {}
-    if threading.current_thread() is threading.main_thread():
-        for number in (signal.SIGINT, signal.SIGTERM):
-            before[number] = signal.signal(number, lambda _number, _frame: handler())
-    try:
-        yield
-    finally:
-        for number, old in before.items():
-            signal.signal(number, old)

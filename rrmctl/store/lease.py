@@ -88,11 +88,7 @@ class Lease:
                 if is_open_at(lock, folder.lock):
                     return cls(folder, waiting)._hold(lock)
             os.close(lock)  # the run was taken over while nobody had it
-        return None if stale is None else cls._take_over(folder, stale, waiting)
-
-    @classmethod
-    def _take_over(cls, folder: RunFolder, stale: Beat, waiting: Callable[[], None]) -> Lease | None:
-        guard = try_lock(folder.guard)
+        guard = None if stale is None else try_lock(folder.guard)
         if guard is None:
             return None  # it is writing, or was stopped in the middle of it: what it writes must be whole first
         try:
@@ -159,19 +155,8 @@ class Lease:
 
 
 @contextlib.contextmanager
-def _guarded(
-    folder: RunFolder, waiting: Callable[[], None] = lambda: None, patience_s: float = math.inf
-) -> Iterator[None]:
-    """Hold the guard.
-
-    Args:
-        waiting: called again and again until it is free.
-        patience_s: to wait for it.
-
-    Raises:
-        StorageError: it cannot be opened.
-        TimeoutError: others held it all the while.
-    """
+def _guarded(folder: RunFolder, waiting: Callable[[], None], patience_s: float = math.inf) -> Iterator[None]:
+    """Hold the guard. Raises TimeoutError where others held it all the while, StorageError where it cannot be made."""
     descriptor = open_lock(folder.guard)
     try:
         if not wait_for(descriptor, patience_s, waiting):

@@ -20,7 +20,7 @@ import rrm
 from rrmctl.errors import UserError
 from rrmctl.hardware import cpu_model
 from rrmctl.store.layout import RunFolder
-from rrmctl.store.records import check_version, read_json, validated, write_json
+from rrmctl.store.records import check_version, read_json, settings, validated, write_json
 from rrmctl.store.schema import SCHEMA_VERSION
 
 #: Packages whose version can change a number or a file.
@@ -29,45 +29,36 @@ PACKAGES = (
 )  # fmt: skip
 
 
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class Provenance:
-    """Facts about one attempt. All but the last four can change a run's numbers, and are compared on resumption."""
-
-    python: str
-    platform: str  #: system and machine type
-    cpu: str  #: model of the processor
-    versions: dict[str, str]  #: of PACKAGES, "absent" where not installed
-    code: str  #: digest of the library's sources
-    config: str  #: digest of config.json
-    fingerprint: dict[str, str]  #: of the environment: its packages, and a hash of its true reward on fixed states
-    precision: str
-    threads: int
-    started: str  #: UTC, ISO 8601
-    host: str
-    argv: list[str]  #: the command that asked for the run
-    attempt: int
-
-
+#: Facts that cannot change a run's numbers, and are not compared on resumption.
 _CIRCUMSTANCES = ("started", "host", "argv", "attempt")
 
 
-def collect(config: Mapping[str, Any], fingerprint: Mapping[str, str], argv: Sequence[str], attempt: int) -> Provenance:
-    """The provenance of an attempt that starts now, in this process."""
-    return Provenance(
-        python=platform.python_version(),
-        platform=f"{platform.system()} {platform.machine()}",
-        cpu=cpu_model(),
-        versions={name: version(name) or "absent" for name in PACKAGES},
-        code=code_digest("rrm"),
-        config=hashlib.sha256(json.dumps(config, sort_keys=True).encode()).hexdigest()[:16],
-        fingerprint=dict(fingerprint),
-        precision=str(config["precision"]),
-        threads=int(config["threads"]),
-        started=datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
-        host=socket.gethostname(),
-        argv=list(argv),
-        attempt=attempt,
-    )
+def collect(
+    config: Mapping[str, Any], fingerprint: Mapping[str, str], argv: Sequence[str], attempt: int
+) -> dict[str, Any]:
+    """Facts about an attempt that starts now, in this process.
+
+    Args:
+        config: the run's.
+        fingerprint: of the environment: its packages, and a hash of its true reward on fixed states.
+        argv: the command that asked for the run.
+        attempt: its number.
+    """
+    return {
+        "python": platform.python_version(),
+        "platform": f"{platform.system()} {platform.machine()}",
+        "cpu": cpu_model(),
+        "versions": {name: version(name) or "absent" for name in PACKAGES},
+        "code": code_digest("rrm"),
+        "config": hashlib.sha256(json.dumps(config, sort_keys=True).encode()).hexdigest()[:16],
+        "fingerprint": dict(fingerprint),
+        "precision": str(config["precision"]),
+        "threads": int(config["threads"]),
+        "started": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
+        "host": socket.gethostname(),
+        "argv": list(argv),
+        "attempt": attempt,
+    }
 
 
 def read_provenance(folder: RunFolder) -> dict[str, Any] | None:
@@ -109,7 +100,7 @@ def asked_by(folder: RunFolder) -> list[str]:
         return []
 
 
-def record(folder: RunFolder, now: Provenance) -> list[str]:
+def record(folder: RunFolder, facts: Mapping[str, Any]) -> list[str]:
     """Write the provenance of a run's first attempt, or add that of a later one.
 
     Where earlier attempts have left something and their provenance is gone, what is written is marked `lost`.
@@ -122,19 +113,17 @@ def record(folder: RunFolder, now: Provenance) -> list[str]:
         StorageError: the folder takes no write.
     """
     known = read_provenance(folder)
-    facts = dataclasses.asdict(now)
     if known is None:
         lost = {"lost": True} if folder.curve.exists() or folder.checkpoint.exists() else {}
         write_json(folder.provenance, {"schema_version": SCHEMA_VERSION, **facts, **lost, "resumed": []})
         return []
     old, new = _flat(known), _flat(facts)
-    for before in known.get("resumed", []):
-        old |= {name: after for name, (_, after) in before["changes"].items()}
+    for entry in known.get("resumed", []):
+        old |= {name: after for name, (_, after) in entry["changes"].items()}
     pairs = {name: (old.get(name, "absent"), new.get(name, "absent")) for name in sorted(old | new)}
     changes = {name: pair for name, pair in pairs.items() if pair[0] != pair[1]}
-    entry = {name: facts[name] for name in _CIRCUMSTANCES} | {"changes": changes}
-    known["resumed"] = [*known.get("resumed", []), entry]
-    write_json(folder.provenance, known)
+    resumed = {name: facts[name] for name in _CIRCUMSTANCES} | {"changes": changes}
+    write_json(folder.provenance, known | {"resumed": [*known.get("resumed", []), resumed]})
     return [f"{name}: {before} -> {after}" for name, (before, after) in changes.items()]
 
 
@@ -173,13 +162,7 @@ def code_digest(package: str) -> str:
 
 
 def _flat(facts: Mapping[str, Any]) -> dict[str, str]:
-    """The compared facts as text, by dotted name; facts that are flat already stay as they are."""
-    flat: dict[str, str] = {}
-    for name, value in facts.items():
-        if name in (*_CIRCUMSTANCES, "resumed", "lost", "schema_version"):
-            continue
-        if isinstance(value, Mapping):
-            flat |= {f"{name}.{key}": str(item) for key, item in value.items()}
-        else:
-            flat[name] = str(value)
-    return flat
+    """The compared facts as text, by dotted name."""
+    left_out = (*_CIRCUMSTANCES, "resumed", "lost", "schema_version")
+    compared = {name: value for name, value in facts.items() if name not in left_out}
+    return {name: str(value) for name, value in settings(compared).items()}

@@ -155,3 +155,12 @@ def _told(problems: list[ErrorDetails]) -> str:
 def _place(problem: ErrorDetails) -> str:
     """`jobs[0].seed`."""
     return "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in problem["loc"]).removeprefix(".")
+
+
+def settings(config: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    """The values of a configuration by dotted name; a list is one value."""
+    values: dict[str, Any] = {}
+    for name, value in config.items():
+        inner = isinstance(value, Mapping)
+        values |= settings(value, f"{prefix}{name}.") if inner else {prefix + name: value}
+    return values

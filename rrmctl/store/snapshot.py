@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import datetime
 import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -203,15 +203,6 @@ def planned(results: str | Path = "results", experiment: str | None = None, *, n
         UserError: the experiment has never been run here, or a sweep record is damaged.
     """
     return Snapshot(results, experiment).planned(needed=needed)
-
-
-def settings(config: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
-    """The values of a configuration by dotted name; a list is one value."""
-    values: dict[str, Any] = {}
-    for name, value in config.items():
-        inner = isinstance(value, Mapping)
-        values |= settings(value, f"{prefix}{name}.") if inner else {prefix + name: value}
-    return values
 
 
 def table(runs: Iterable[Run]) -> pd.DataFrame:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import json
 from pathlib import Path
 
@@ -10,14 +9,14 @@ import pytest
 
 from rrmctl.hardware import usable_cores
 from rrmctl.store.layout import Layout, RunFolder
-from rrmctl.store.provenance import Provenance, code_digest, collect, made_with, read_provenance, record
+from rrmctl.store.provenance import code_digest, collect, made_with, read_provenance, record
 
 CONFIG = {"precision": "float32", "threads": 1, "task": "toy-car"}
 
 
-def now(**changes: object) -> Provenance:
+def now(**changes: object) -> dict[str, object]:
     told = collect(CONFIG, {"metaworld": "3.1.1", "reward": "abc"}, ["rrmctl", "run", "toy-car"], attempt=1)
-    return dataclasses.replace(told, **changes)
+    return told | changes
 
 
 @pytest.fixture
@@ -29,7 +28,7 @@ def test_the_first_attempt_is_recorded_whole(folder: RunFolder) -> None:
     """Versions, machine, code, environment, precision, threads, time and command are in the file."""
     assert record(folder, now()) == []
     told = json.loads(folder.provenance.read_text())
-    assert {field.name for field in dataclasses.fields(Provenance)} <= set(told)
+    assert set(now()) <= set(told)
     assert told["versions"]["numpy"][0].isdigit()
     assert told["fingerprint"] == {"metaworld": "3.1.1", "reward": "abc"}
     assert told["argv"] == ["rrmctl", "run", "toy-car"]
