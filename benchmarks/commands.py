@@ -28,8 +28,9 @@ from rrmctl.store.curve import SETTINGS, table_of
 from rrmctl.store.files import write_table
 from rrmctl.store.layout import Layout, RunFolder
 from rrmctl.store.locks import try_lock
+from rrmctl.store.provenance import record_config
 from rrmctl.store.schema import IDENTITY, MEASURED
-from rrmctl.store.status import RunState, Status, record_config, write_status
+from rrmctl.store.status import RunState, Status, write_status
 from rrmctl.store.sweeps import Job, SweepRecord, record_sweep
 
 EXPERIMENTS = Path(__file__).parents[1] / "experiments"

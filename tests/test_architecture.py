@@ -31,7 +31,7 @@ KNOW_RRM = {
         "planning.layering",
         "planning.prerequisites",
     ),  # names and settings become configurations
-    "running.demos",  # collects demonstrations that people ask for
+    "running.experts",  # collects demonstrations that people ask for
     *("running.config_file", "running.worker"),  # a configuration's way into the process that trains
     "cli.prior",  # candidates of a language model become priors of the library
 }

@@ -42,7 +42,8 @@ def clean(
 def _described(folder: RunFolder) -> str:
     """What its configuration says it is, and where it stands."""
     from rrmctl.errors import UserError
-    from rrmctl.store.reader import read_config, run_status
+    from rrmctl.store.provenance import read_config
+    from rrmctl.store.status import run_status
 
     try:
         config = read_config(folder)

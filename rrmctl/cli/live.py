@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING
 from rrmctl.cli.request import duration
 from rrmctl.running.scheduler import Ending, Outcome, Stage
 from rrmctl.store.layout import Layout
-from rrmctl.store.reader import log_tail
-from rrmctl.store.status import ErrorKind, RunError
+from rrmctl.store.status import ErrorKind, RunError, log_tail
 from rrmctl.store.sweeps import Job
 
 if TYPE_CHECKING:

@@ -83,8 +83,8 @@ def forecast(plan: Plan, layout: Layout) -> Forecast:
         UserError: a sweep record is damaged.
     """
     from rrmctl.planning.cost import estimate_cost
-    from rrmctl.store.reader import statuses
     from rrmctl.store.speeds import stored_speeds
+    from rrmctl.store.status import statuses
 
     states = statuses(layout, plan.everything)
     return Forecast(plan, states, estimate_cost(plan, stored_speeds(layout, states)))

@@ -102,7 +102,7 @@ def run(
     from rrmctl.cli.until_decided import asked_rules, until_decided
     from rrmctl.running.supervisor import Terms
     from rrmctl.store.layout import new_results
-    from rrmctl.store.reader import statuses
+    from rrmctl.store.status import statuses
     from rrmctl.store.sweeps import readable_sweeps
 
     screen = console(unfailing(sys.stderr))
@@ -160,8 +160,8 @@ def resume(
     """
     from rrmctl.running.supervisor import Terms
     from rrmctl.store.layout import open_results
-    from rrmctl.store.reader import find_sweeps, statuses
-    from rrmctl.store.sweeps import readable_sweeps
+    from rrmctl.store.status import statuses
+    from rrmctl.store.sweeps import find_sweeps, readable_sweeps
 
     screen = console(unfailing(sys.stderr))
     layout = open_results(results)
@@ -229,7 +229,7 @@ def _record(console: Console, layout: Layout, plan: Plan) -> SweepRecord:
 
 def _configure(layout: Layout, plan: Plan, jobs: Iterable[Job]) -> list[str | None]:
     from rrmctl.running.config_file import code_files, config_content
-    from rrmctl.store.status import record_config
+    from rrmctl.store.provenance import record_config
 
     contents = {job.id: config_content(plan.configs[job.id]) for job in jobs}
     remember(digest for content in contents.values() for digest in code_files(content).values())
@@ -239,7 +239,7 @@ def _configure(layout: Layout, plan: Plan, jobs: Iterable[Job]) -> list[str | No
 def _code(layout: Layout, jobs: Iterable[Job]) -> dict[str, str]:
     """Digests of the code of users that these runs name, by path."""
     from rrmctl.running.config_file import code_files
-    from rrmctl.store.reader import read_config
+    from rrmctl.store.provenance import read_config
 
     found: dict[str, str] = {}
     for job in jobs:
@@ -249,7 +249,7 @@ def _code(layout: Layout, jobs: Iterable[Job]) -> dict[str, str]:
 
 
 def _threads(layout: Layout, job: Job) -> int:
-    from rrmctl.store.reader import read_config
+    from rrmctl.store.provenance import read_config
 
     try:
         return int(read_config(layout.run(job.id))["threads"])

@@ -30,8 +30,7 @@ def show(
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON for programs.")] = False,
 ) -> None:
     """Show one run: what it is, where it stands, what it ran with, its last evaluations and the end of its log."""
-    from rrmctl.store.layout import open_results
-    from rrmctl.store.reader import find_run
+    from rrmctl.store.layout import find_run, open_results
 
     layout = open_results(results)
     known = _known(layout, find_run(layout, run), lines)
@@ -49,8 +48,8 @@ def show(
 
 def _known(layout: Layout, folder: RunFolder, lines: int) -> dict[str, Any]:
     """What there is to know, as JSON has it; what could not be read is null, and why stands in `damage`."""
-    from rrmctl.store.provenance import read_provenance
-    from rrmctl.store.reader import log_tail, read_config, run_status
+    from rrmctl.store.provenance import read_config, read_provenance
+    from rrmctl.store.status import log_tail, run_status
     from rrmctl.store.sweeps import readable_sweeps
 
     damage: dict[str, str] = {}

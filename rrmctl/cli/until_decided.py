@@ -78,7 +78,7 @@ def until_decided(layout: Layout, plan: Plan, rules: Rules, execute: Execute) ->
     Raises:
         UserError: nothing to compare, or a test with other rules was begun on these runs.
     """
-    from rrmctl.store.reader import statuses
+    from rrmctl.store.status import statuses
     from rrmctl.store.trials import begin_trial
 
     trial = _trial(plan, rules)

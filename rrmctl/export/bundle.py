@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 from rrmctl.store.frame import NUMBER, TEXT, WHOLE, frame, typed
-from rrmctl.store.reader import check_profile
+from rrmctl.store.layout import check_profile
 from rrmctl.store.snapshot import Run, Snapshot
 
 if TYPE_CHECKING:

@@ -42,11 +42,6 @@ class Making:
     facts: Mapping[str, str]  #: what decides its numbers beside the settings, by name; what is not recorded is left out
     code: str | None  #: digest of the library's sources; None where nothing was recorded
 
-    @property
-    def version(self) -> int:
-        """Of its configuration."""
-        return int(self.config["config_version"])
-
 
 class Made(NamedTuple):
     """A run in a section."""
@@ -61,12 +56,7 @@ Mixture = Mapping[str, Mapping[str, Sequence[Made]]]
 
 
 def making(store: Snapshot, run: str) -> Making:
-    """How this run was made.
-
-    Raises:
-        DamagedError: its configuration or provenance cannot be read.
-        UserError: it has no configuration.
-    """
+    """How this run was made. Raises UserError where its configuration is missing, or a file is damaged."""
     config, recorded = store.config(run), made_with(store.provenance(run))
     facts = {VERSION: str(config["config_version"]), PRECISION: str(config["precision"])}
     facts |= {name: recorded[key] for key, name in _PACKAGES.items() if key in recorded}
@@ -82,12 +72,12 @@ def mixture(section: Section, makings: Mapping[str, Making]) -> Mixture:
     A method's precision is part of what the method is, so it is compared among the runs of one method; the true reward
     among those of one task; everything else among all.
     """
-    found: dict[str, dict[str, list[Made]]] = defaultdict(lambda: defaultdict(list))
+    values: dict[str, dict[str, list[Made]]] = defaultdict(lambda: defaultdict(list))
     for made in _runs(section):
         for fact, value in makings[made.run].facts.items():
             scope = {PRECISION: f" of {made.label.method}", TRUE_REWARD: f" of {made.label.task}"}.get(fact, "")
-            found[fact + scope][value].append(made)
-    return {fact: dict(sorted(values.items())) for fact, values in found.items() if len(values) > 1}
+            values[fact + scope][value].append(made)
+    return {fact: dict(sorted(runs.items())) for fact, runs in values.items() if len(runs) > 1}
 
 
 def told(mixed: Mixture) -> list[str]:
@@ -136,19 +126,15 @@ def refuse(section: Section, mixed: Mixture, layout: Layout) -> UserError:
         way = "which of them would be made now is not known before a run in another --results folder"
     elif older:
         way += "; the old runs are then left out"
-    where = f"{section.experiment}, profile {section.profile}"
     return UserError(
-        f"{where}: its runs do not belong in one report: {'. '.join(told(mixed))}",
+        f"{section.experiment}, profile {section.profile}: its runs do not belong in one report: "
+        f"{'. '.join(told(mixed))}",
         f"{way}; --allow-mixed reports them together and says so",
     )
 
 
 def configurations(label: Label, rows: pd.DataFrame) -> UserError | None:
-    """Why these rows of one series, all of one configuration version, cannot be averaged, if they cannot.
-
-    Args:
-        rows: as `rrmctl.store.load` returns them.
-    """
+    """Why these rows of `load`, of one series and configuration version, cannot be averaged, if they cannot."""
     cells = rows.sort_values("seed").groupby("cell", sort=False)["seed"].unique()
     if len(cells) < 2:
         return None

@@ -23,7 +23,7 @@ from rrmctl.labels import Label
 from rrmctl.reports import comparability
 from rrmctl.reports.comparability import Making
 from rrmctl.reports.series import SCORE_COLUMN, Absent, Section, Series, by_seed
-from rrmctl.store.reader import check_profile, never_run
+from rrmctl.store.layout import check_profile, never_run
 from rrmctl.store.snapshot import Snapshot
 from rrmctl.store.trials import read_trial
 
@@ -60,7 +60,7 @@ def sections_of(store: Snapshot, *, allow_mixed: bool = False) -> tuple[Section,
     makings = {run: comparability.making(store, run) for run in runs}
     superseded = {(sweep.experiment, sweep.variant): len(sweep.superseded) for sweep in store.sweeps}
     sections = []
-    for section in _split(rows, jobs, None, makings):
+    for section in _split(rows, jobs, {}, makings):
         mixed = comparability.mixture(section, makings)
         differences = tuple(comparability.told(mixed))
         problems = [*section.problems]
@@ -104,7 +104,6 @@ def sections(
     jobs: pd.DataFrame | None = None,
     *,
     evaluation: Mapping[str, Mapping[str, Any] | None] | None = None,
-    makings: Mapping[str, Making] | None = None,
 ) -> tuple[Section, ...]:
     """Split the store's rows into sections that may each be reported as a whole.
 
@@ -112,28 +111,27 @@ def sections(
         rows: as `rrmctl.store.load` returns them.
         jobs: as `rrmctl.store.planned` returns them; without it the runs in `rows` are taken for the whole plan.
         evaluation: for each cell its evaluation settings (`success`, `deterministic`), where known.
-        makings: for each run how it was made, of which `evaluation` is then taken; without it all are taken for alike.
 
     Raises:
         UserError: one series holds runs of several configurations, or an unknown task.
     """
-    return tuple(section.accepted() for section in _split(rows, jobs, evaluation, makings or {}))
+    return tuple(section.accepted() for section in _split(rows, jobs, evaluation or {}, {}))
 
 
 def _split(
     rows: pd.DataFrame,
     jobs: pd.DataFrame | None,
-    evaluation: Mapping[str, Mapping[str, Any] | None] | None,
+    evaluation: Mapping[str, Mapping[str, Any] | None],
     makings: Mapping[str, Making],
 ) -> Iterator[Section]:
     """The sections, with those among them whose runs do not belong together."""
     if jobs is None:
         jobs = rows.drop_duplicates(["experiment", "variant", *Label._fields, "run"]).assign(overrides="{}")
-    if not evaluation and makings:
+    if makings:
         evaluation = {cell: makings[run].config.get("evaluation") for cell, run in _distinct(rows, "cell", "run")}
     for variant in _distinct(jobs, "experiment", "variant"):
         place = dict(zip(("experiment", "variant"), variant, strict=True))
-        yield _section(_where(rows, place), _where(jobs, place), evaluation or {}, makings)
+        yield _section(_where(rows, place), _where(jobs, place), evaluation, makings)
 
 
 def _where(table: pd.DataFrame, values: Mapping[str, Any]) -> pd.DataFrame:
@@ -207,7 +205,7 @@ def _series(
     done = rows[rows["state"] == "done"]
     used = done if len(done) else rows[rows["state"].isin(_UNDER_WAY)]
     # Versions differ in their configurations; whether those meet is looked at when all series are known.
-    version = used["run"].map(lambda run: makings[run].version if run in makings else 0)
+    version = used["run"].map(lambda run: makings[run].facts[comparability.VERSION] if run in makings else "")
     several = [why for _, alike in used.groupby(version) if (why := comparability.configurations(label, alike))]
     if several:
         refusals += several

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from rrmctl.errors import UserError
 from rrmctl.store.files import DamagedError
 from rrmctl.store.layout import RunFolder
-from rrmctl.store.reader import CONFIG_HINT, read_config
+from rrmctl.store.provenance import CONFIG_HINT, read_config
 
 if TYPE_CHECKING:
     from rrm.training.kinds import JobConfig

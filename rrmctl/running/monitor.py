@@ -22,7 +22,7 @@ HEARTBEAT_S = 5.0
 
 
 class RunMonitor:
-    """Where a trainer reports to: rows into the curve, progress into the status file and up the pipe."""
+    """An `rrm.training.jobs.Monitor`."""
 
     def __init__(self, lease: Lease, status: Status, curve: CurveWriter, pipe: Pipe, stop: StopRequest) -> None:
         self._lease = lease
@@ -33,7 +33,6 @@ class RunMonitor:
         self._written = time.monotonic()
 
     def restored(self, rows: Sequence[EvalRow]) -> None:
-        """Bring back evaluations that the curve has lost."""
         lost = [row for row in rows if row.step not in self._curve]
         if lost:
             self.note(f"{len(lost)} evaluations that {self._lease.folder.curve.name} lacks come from the checkpoint")
@@ -41,7 +40,6 @@ class RunMonitor:
                 self._curve.add(*(row.columns() for row in lost))
 
     def row(self, row: EvalRow) -> None:
-        """Add an evaluation to the curve; it is on disk when this returns."""
         values = row.columns()
         with self.writing():
             self._curve.add(values)
@@ -50,7 +48,6 @@ class RunMonitor:
         self._pipe.send(event="row", step=row.step, success=shown["success"], true_return=shown["true_return"])
 
     def beat(self, step: int, steps_per_s: float) -> None:
-        """Show a sign of life."""
         speed = _finite(steps_per_s)
         self._pipe.beat(step=step, steps_per_s=speed)
         self.status = dataclasses.replace(self.status, step=step, steps_per_s=speed)
@@ -58,15 +55,12 @@ class RunMonitor:
             self._write()
 
     def note(self, message: str) -> None:
-        """Tell a person, in the log and at the terminal."""
         self._pipe.note(message)
 
     def should_stop(self) -> bool:
-        """True when the run should be checkpointed and left."""
         return self._stop.requested
 
     def writing(self) -> AbstractContextManager[None]:
-        """Around every write into the run's folder."""
         return self._lease.writing()
 
     def close(self, state: RunState) -> None:

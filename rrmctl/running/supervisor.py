@@ -21,8 +21,7 @@ from rrmctl.running.scheduler import Ending, Outcome, Scheduler, Stage
 from rrmctl.store.files import StorageError
 from rrmctl.store.layout import Layout
 from rrmctl.store.owner import LEASE_S, Beat, Watch, is_owned
-from rrmctl.store.reader import blocked_by, run_status
-from rrmctl.store.status import ErrorKind, RunError, RunState, Status, record_failure
+from rrmctl.store.status import ErrorKind, RunError, RunState, Status, blocked_by, record_failure, run_status
 from rrmctl.store.sweeps import Job
 from rrmctl.suspend_clock import WakingTime
 

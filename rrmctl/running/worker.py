@@ -32,7 +32,7 @@ from rrmctl.store.layout import Layout, RunFolder
 from rrmctl.store.lease import Lease, LeaseLostError
 from rrmctl.store.locks import PATIENCE_S
 from rrmctl.store.owner import Beat
-from rrmctl.store.reader import read_config
+from rrmctl.store.provenance import read_config
 from rrmctl.store.schema import IDENTITY
 from rrmctl.store.status import ErrorKind, RunError, RunState, Status, read_status, write_status
 from rrmctl.streams import attend

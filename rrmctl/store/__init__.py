@@ -1,6 +1,10 @@
 """The store: every run's configuration, provenance, curve and state, as plain JSON and parquet files.
 
 For notebooks: `from rrmctl.store import load` and `load("results")` is every evaluation as a tidy DataFrame.
+
+What reads a file raises DamagedError where it does not hold what it should, VersionError where another version of the
+program wrote it, and StorageError where it cannot be read now. What writes raises StorageError where the folder takes
+no write, and leaves what was there.
 """
 
 from __future__ import annotations

@@ -33,9 +33,6 @@ class CurveWriter:
     Args:
         folder: the run's folder.
         identity: values of the columns in `schema.IDENTITY`.
-
-    Raises:
-        DamagedError: the curve on disk is damaged.
     """
 
     def __init__(self, folder: RunFolder, identity: Mapping[str, Any]) -> None:
@@ -85,13 +82,7 @@ def table_of(rows: list[dict[str, Any]]) -> pa.Table:
 
 
 def read_curve(folder: RunFolder) -> pa.Table | None:
-    """The run's curve as an arrow table; None before its first evaluation.
-
-    Raises:
-        DamagedError: the file is not an intact curve, or is another run's.
-        StorageError: it cannot be read now.
-        VersionError: it is of another schema version.
-    """
+    """The run's curve as an arrow table; None before its first evaluation."""
     data = read_bytes(folder.curve)
     if data is None:
         return None
@@ -106,12 +97,7 @@ def read_curve(folder: RunFolder) -> pa.Table | None:
 
 
 def decode(data: bytes, path: Path) -> pa.Table:
-    """The table in a parquet file of this name.
-
-    Raises:
-        DamagedError: it is not an intact curve.
-        VersionError: it is of another schema version.
-    """
+    """The table in a parquet file of this name."""
     import pyarrow as pa
     import pyarrow.parquet as pq
 
@@ -174,10 +160,6 @@ def load_gradients(results: str | Path, runs: Sequence[str]) -> pd.DataFrame:
 
     Returns:
         Columns `run`, `step` (environment steps), `loss` (text) and `gradient_norm`.
-
-    Raises:
-        DamagedError: a file is damaged, or has other columns.
-        StorageError: it cannot be read now.
     """
     import pandas as pd
     import pyarrow as pa

@@ -78,11 +78,7 @@ def read_bytes(path: Path, largest: int = 2**30) -> bytes | None:
 
 
 def write_bytes(path: Path, data: bytes) -> None:
-    """Replace `path` by `data`, creating its folder; after a crash it holds the old bytes or the new, never a mixture.
-
-    Raises:
-        StorageError: no space, no permission; the old file is untouched.
-    """
+    """Replace `path` by `data`, creating its folder; after a crash it holds the old bytes or the new, as a whole."""
     with _storing(path):
         write_atomically(path, data)
 

@@ -21,13 +21,14 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from rrm.errors import nearest
 from rrm.files import place
 from rrmctl.commands import rrmctl
-from rrmctl.errors import UserError
+from rrmctl.errors import UserError, check_known
 
 #: Names that become a file's: no separators, nothing hidden, no way out of the results root.
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,127}")
@@ -124,11 +125,7 @@ class Layout:
 
 
 def new_results(results: str | Path) -> Layout:
-    """The layout of a results root, whether or not it exists.
-
-    Raises:
-        UserError: it is a file.
-    """
+    """The layout of a results root, whether or not it exists. Raises UserError where it is a file."""
     root = place(results)
     if root.exists() and not root.is_dir():
         raise UserError(f"{root} is a file, not a folder", "name a folder with --results; the default is results")
@@ -136,16 +133,67 @@ def new_results(results: str | Path) -> Layout:
 
 
 def open_results(results: str | Path) -> Layout:
-    """The layout of an existing results root.
-
-    Raises:
-        UserError: there is no such folder.
-    """
+    """The layout of an existing results root. Raises UserError where there is no such folder."""
     layout = new_results(results)
     if not layout.root.is_dir():
         begin = rrmctl("run", "quickstart", results=layout.root)
         raise UserError(f"there is no results folder {layout.root}", f"`{begin}` makes one; --results names another")
     return layout
+
+
+def never_run(layout: Layout, *experiments: str) -> UserError:
+    """What to say where the store holds no run of the first of these, or none at all."""
+    known = layout.experiments()
+    if not known:
+        start = rrmctl("run", "quickstart", results=layout.root)
+        return UserError(f"{layout.root} holds no experiment yet", f"start one, e.g. `{start}`")
+    near = nearest(experiments[0], known)
+    start = "" if near else "; `rrmctl list` names what there is to run"
+    return UserError(f'{layout.root} holds no runs of "{experiments[0]}"{near}', f"it holds: {', '.join(known)}{start}")
+
+
+def chosen_experiments(layout: Layout, asked: Sequence[str]) -> list[str]:
+    """The experiments that are asked for, each once; all of the store where none is.
+
+    Raises:
+        UserError: the store holds no run of one, or none at all.
+    """
+    known = layout.experiments()
+    unknown = [name for name in asked if name not in known]
+    if unknown or not known:
+        raise never_run(layout, *unknown)
+    return list(dict.fromkeys(asked)) or known
+
+
+def check_profile(profile: str | None, present: Iterable[str]) -> None:
+    """Refuse a profile of which there are no runs; None asks for none.
+
+    Raises:
+        UserError: with the nearest that there is.
+    """
+    if profile is not None:
+        check_known(profile, sorted(set(present)), f'no runs of profile "{profile}"', "there are runs of")
+
+
+def find_run(layout: Layout, prefix: str) -> RunFolder:
+    """The folder of the one run whose id starts with `prefix`.
+
+    Raises:
+        UserError: none does, or several do, or `prefix` is empty.
+    """
+    if not prefix:
+        raise UserError("no run was named", f"give its id or the first digits of it; {_ids(layout)}")
+    matches = [run for run in layout.run_ids() if run.startswith(prefix)]
+    if len(matches) == 1:
+        return layout.run(matches[0])
+    if not matches:
+        raise UserError(f"no run in {layout.root} starts with {prefix!r}", _ids(layout))
+    shown = ", ".join(matches[:8]) + (", ..." if len(matches) > 8 else "")
+    raise UserError(f"{prefix!r} stands for {len(matches)} runs: {shown}", "give more digits")
+
+
+def _ids(layout: Layout) -> str:
+    return f"ids are the names of the folders in {layout.root / 'runs'}"
 
 
 def _names(folder: Path, wanted: Callable[[Path], bool]) -> list[str]:

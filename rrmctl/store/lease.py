@@ -78,9 +78,6 @@ class Lease:
             patience_s: to wait for the lock, seconds; readers hold it for an instant.
             stale: the sign of life that nothing has followed for `LEASE_S`: its owner is not waited for.
             waiting: called again and again while somebody else holds the guard, now and in `writing`.
-
-        Raises:
-            StorageError: the folder takes no write.
         """
         lock = lock_free(folder, patience_s, stale)
         if lock is not None:

@@ -47,9 +47,6 @@ def try_lock(path: Path, patience_s: float = 0.0) -> int | None:
 
     Returns:
         A file descriptor; closing it, or dying, frees the lock.
-
-    Raises:
-        StorageError: the file cannot be created.
     """
     try:
         make_folder(path.parent)
@@ -86,11 +83,7 @@ def locked(path: Path) -> Iterator[None]:
 
 
 def is_locked(path: Path) -> bool:
-    """Whether a living process holds the lock behind `path`. Works on folders that cannot be written.
-
-    Raises:
-        StorageError: it cannot be looked at now.
-    """
+    """Whether a living process holds the lock behind `path`. Works on folders that cannot be written."""
     try:
         descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
     except (FileNotFoundError, NotADirectoryError):

@@ -89,20 +89,12 @@ def owned(beat: Beat | None, *, locked: bool, here: Machine, silent: Beat | None
 
 
 def is_owned(folder: RunFolder) -> bool:
-    """Whether a run is somebody's now. Works on folders that cannot be written.
-
-    Raises:
-        StorageError: its lock cannot be looked at now.
-    """
+    """Whether a run is somebody's now. Works on folders that cannot be written."""
     return owned(read_beat(folder), locked=is_locked(folder.lock), here=HERE)
 
 
 def lock_free(folder: RunFolder, patience_s: float = 0.0, silent: Beat | None = None) -> int | None:
-    """Take the lock of a run that is nobody's; None where it is somebody's. Arguments as in `try_lock` and `owned`.
-
-    Raises:
-        StorageError: the lock cannot be made.
-    """
+    """Take the lock of a run that is nobody's; None where it is somebody's. Arguments as in `try_lock` and `owned`."""
     lock = try_lock(folder.lock, patience_s)
     if lock is None:
         return None

@@ -1,4 +1,4 @@
-"""What a run ran with: versions, machine, code and environment; and what had changed whenever it was resumed."""
+"""What a run is, and what it ran with: versions, machine, code, environment; and what changed on resumption."""
 
 from __future__ import annotations
 
@@ -14,11 +14,12 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
-from pydantic import AfterValidator, StrictStr
+from pydantic import AfterValidator, StrictInt, StrictStr
 
 import rrm
 from rrmctl.errors import UserError
 from rrmctl.hardware import cpu_model
+from rrmctl.store.files import DamagedError, set_aside
 from rrmctl.store.layout import RunFolder
 from rrmctl.store.records import check_version, read_json, settings, validated, write_json
 from rrmctl.store.schema import SCHEMA_VERSION
@@ -31,6 +32,53 @@ PACKAGES = (
 
 #: Facts that cannot change a run's numbers, and are not compared on resumption.
 _CIRCUMSTANCES = ("started", "host", "argv", "attempt")
+
+
+#: What to do about a configuration that is not what it should be.
+CONFIG_HINT = "run its experiment again: `rrmctl run NAME` writes it anew"
+
+
+@dataclasses.dataclass(frozen=True)
+class _Config:
+    """What the program itself reads of a configuration; the rest is checked when the run starts."""
+
+    id: StrictStr
+    cell: StrictStr
+    profile: StrictStr
+    task: StrictStr
+    method: StrictStr
+    precision: StrictStr
+    config_version: StrictInt
+    seed: StrictInt
+    steps: StrictInt
+    threads: StrictInt
+
+
+def read_config(folder: RunFolder) -> dict[str, Any]:
+    """The run's `config.json`."""
+    config = read_json(folder.config, CONFIG_HINT)
+    if config is None:
+        raise DamagedError(f"{folder.config} is missing", CONFIG_HINT)
+    validated(_Config, config, folder.config, CONFIG_HINT)
+    return config
+
+
+def record_config(folder: RunFolder, content: dict[str, Any]) -> str | None:
+    """Write the run's `config.json` unless it says the same already. A damaged one is set aside first.
+
+    Returns:
+        What a person should know of a file that was set aside.
+    """
+    note = None
+    try:
+        known = read_json(folder.config)
+    except DamagedError as error:
+        known = None
+        if folder.config.exists():
+            note = f"{error}; set aside as {set_aside(folder.config, 'corrupt').name} and written anew"
+    if known != content:
+        write_json(folder.config, content)
+    return note
 
 
 def collect(
@@ -62,13 +110,7 @@ def collect(
 
 
 def read_provenance(folder: RunFolder) -> dict[str, Any] | None:
-    """The run's `provenance.json`; None where it was never started.
-
-    Raises:
-        DamagedError: the file is damaged.
-        StorageError: it cannot be read now.
-        VersionError: it is of another schema version.
-    """
+    """The run's `provenance.json`; None where it was never started."""
     hint = "move it away; what the run ran with until now is then unknown"
     known = read_json(folder.provenance, hint)
     if known is not None:
@@ -107,10 +149,6 @@ def record(folder: RunFolder, facts: Mapping[str, Any]) -> list[str]:
 
     Returns:
         What differs from the attempt before, one line each, such as `versions.torch: 2.6.0 -> 2.7.1`.
-
-    Raises:
-        DamagedError, VersionError: the file that is there is damaged, or of another version.
-        StorageError: the folder takes no write.
     """
     known = read_provenance(folder)
     if known is None:

@@ -61,10 +61,6 @@ def read_json(path: Path, hint: str = _AGAIN) -> dict[str, Any] | None:
 
     Args:
         hint: what to do about a file that is damaged.
-
-    Raises:
-        DamagedError: the file does not hold a JSON object, or not the one its checksum is of.
-        StorageError: it cannot be read now.
     """
     data = read_bytes(path, _LARGEST)
     if data is None:
@@ -118,14 +114,20 @@ def check_version(version: Any, path: Path, hint: str) -> None:
         )
 
 
+def read_record(kind: type[Record], path: Path, hint: str, optional: str = "") -> Record | None:
+    """The record in this file, as `validated` has it; None where there is none."""
+    content = read_json(path, hint)
+    if content is None:
+        return None
+    check_version(content.pop("schema_version", None), path, hint)
+    return validated(kind, content, path, hint, optional)
+
+
 def validated(kind: type[Record], content: Mapping[str, Any], path: Path, hint: str, optional: str = "") -> Record:
     """What was read from `path` as a record.
 
     Args:
         optional: fields that a file may lack, in one text; of inner records those that have a default may be missing.
-
-    Raises:
-        DamagedError: naming file and field.
     """
     needed = {field.name for field in dataclasses.fields(kind)} - {*optional.split()}
     if lacking := [name for name in needed if name not in content]:

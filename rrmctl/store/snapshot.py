@@ -10,15 +10,15 @@ from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from rrmctl.errors import UserError
 from rrmctl.labels import Label
 from rrmctl.store.curve import read_curve
 from rrmctl.store.frame import MAYBE_WHOLE, NUMBER, TEXT, WHOLE, frame, typed
 from rrmctl.store.layout import open_results
-from rrmctl.store.provenance import read_provenance
-from rrmctl.store.reader import find_sweeps, read_config, run_status, statuses
+from rrmctl.store.provenance import read_config, read_provenance
 from rrmctl.store.schema import IDENTITY, LABELS, curve_schema
-from rrmctl.store.status import Status
-from rrmctl.store.sweeps import read_sweeps
+from rrmctl.store.status import Status, run_status, statuses
+from rrmctl.store.sweeps import find_sweeps, read_sweeps, readable_sweeps
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -94,14 +94,23 @@ class Snapshot:
     Args:
         results: the results root.
         experiment: only this one.
+        lenient: go on without records that are damaged, and say so in `damage`; of one experiment none may be.
 
     Raises:
         UserError: the experiment has never been run here, or a sweep record is damaged.
     """
 
-    def __init__(self, results: str | Path = "results", experiment: str | None = None) -> None:
+    def __init__(
+        self, results: str | Path = "results", experiment: str | None = None, *, lenient: bool = False
+    ) -> None:
         self.layout = open_results(results)
-        self.sweeps = read_sweeps(self.layout) if experiment is None else find_sweeps(self.layout, experiment)
+        self.damage: list[UserError] = []
+        if experiment is not None:
+            self.sweeps = find_sweeps(self.layout, experiment)
+        elif lenient:
+            self.sweeps, self.damage = readable_sweeps(self.layout)
+        else:
+            self.sweeps = read_sweeps(self.layout)
         self.states = statuses(self.layout, (job for sweep in self.sweeps for job in sweep.everything))
         self.config = cache(lambda run: read_config(self.layout.run(run)))
         self.provenance = cache(lambda run: read_provenance(self.layout.run(run)))
@@ -143,11 +152,7 @@ class Snapshot:
         return jobs[[*LABELS, "run", "cell", "state"]].merge(typed(measured), on="run", how="inner", sort=False)
 
     def runs(self, *, needed: bool = False) -> tuple[Run, ...]:
-        """The planned runs in the order of the plan, or instead those that they need: experts, demonstrations.
-
-        Raises:
-            UserError: a file is damaged; the message names it.
-        """
+        """The planned runs in the order of the plan, or instead those that they need: experts, demonstrations."""
         return tuple(self._run(dict(plan)) for plan in self.planned(needed=needed).to_dict("records"))
 
     def _run(self, plan: dict[Any, Any]) -> Run:

@@ -7,8 +7,7 @@ from collections import defaultdict
 from collections.abc import Iterable, Mapping
 
 from rrmctl.store.layout import Layout
-from rrmctl.store.reader import statuses
-from rrmctl.store.status import RunState, Status
+from rrmctl.store.status import RunState, Status, statuses
 from rrmctl.store.sweeps import Job, readable_sweeps
 
 

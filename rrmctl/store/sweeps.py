@@ -14,9 +14,9 @@ from pydantic import ConfigDict, StrictInt, StrictStr
 from rrmctl.errors import UserError
 from rrmctl.labels import Label
 from rrmctl.store.files import DamagedError, StorageError, remove_leftovers, set_aside
-from rrmctl.store.layout import Layout
+from rrmctl.store.layout import Layout, never_run
 from rrmctl.store.locks import locked
-from rrmctl.store.records import RunId, check_version, read_json, validated, write_json
+from rrmctl.store.records import RunId, read_record, write_json
 from rrmctl.store.schema import SCHEMA_VERSION
 
 
@@ -116,14 +116,22 @@ def required(jobs: Iterable[Job], known: Iterable[Job]) -> set[str]:
 
 
 def read_sweeps(layout: Layout, experiment: str | None = None) -> list[SweepRecord]:
-    """All variants of an experiment, or of all experiments, sorted by experiment and variant.
-
-    Raises:
-        UserError: a record is damaged, cannot be read now, or is of another schema version.
-    """
+    """All variants of an experiment, or of all experiments, sorted by experiment and variant."""
     sweeps, damage = readable_sweeps(layout, experiment)
     if damage:
         raise damage[0]
+    return sweeps
+
+
+def find_sweeps(layout: Layout, experiment: str) -> list[SweepRecord]:
+    """The variants of an experiment that were run here.
+
+    Raises:
+        UserError: none was; the message lists what is there.
+    """
+    sweeps = read_sweeps(layout, experiment)
+    if not sweeps:
+        raise never_run(layout, experiment)
     return sweeps
 
 
@@ -148,18 +156,12 @@ def readable_sweeps(layout: Layout, experiment: str | None = None) -> tuple[list
 
 
 def read_sweep(path: Path) -> SweepRecord | None:
-    """The record in this file; None where there is none.
-
-    Raises:
-        UserError: it is damaged, cannot be read now, or is of another schema version.
-    """
+    """The record in this file; None where there is none."""
     made = f"the `rrmctl run {path.parent.name} ...` that made it"
     hint = f"{made} sets it aside, makes it again and trains nothing twice"
-    content = read_json(path, hint)
-    if content is None:
+    sweep = read_record(SweepRecord, path, hint, "needed priors superseded")
+    if sweep is None:
         return None
-    check_version(content.pop("schema_version", None), path, hint)
-    sweep = validated(SweepRecord, content, path, hint, "needed priors superseded")
     if (sweep.experiment, sweep.variant) != (path.parent.name, path.stem):  # files are named after what they say
         told = f"it is the record of {sweep.experiment!r} ({sweep.variant!r})"
         raise DamagedError(f"{path} is damaged: {told}", hint)
@@ -175,12 +177,7 @@ def read_sweep(path: Path) -> SweepRecord | None:
 
 
 def set_damaged_aside(layout: Layout, path: Path) -> str | None:
-    """Make room for a new record where the one at `path` is damaged; what a person should know of that.
-
-    Raises:
-        StorageError: it cannot be read now, or the results folder takes no write.
-        VersionError: it is of another schema version.
-    """
+    """Make room for a new record where the one at `path` is damaged; what a person should know of that."""
     with locked(layout.sweep_lock(path.parent.name)):
         try:
             read_sweep(path)
@@ -191,12 +188,7 @@ def set_damaged_aside(layout: Layout, path: Path) -> str | None:
 
 
 def record_sweep(layout: Layout, asked: SweepRecord) -> SweepRecord:
-    """Add what was asked for to the sweep's record, and return the union. Any number of processes may do so at once.
-
-    Raises:
-        StorageError: the results folder takes no write.
-        DamagedError, VersionError: the record that is there is damaged, or of another version.
-    """
+    """Add what was asked for to the sweep's record, and return the union. Any number of processes may do so at once."""
     path = layout.sweep(asked.experiment, asked.variant)
     with locked(layout.sweep_lock(asked.experiment)):
         remove_leftovers(path.parent)

@@ -11,7 +11,7 @@ from rrmctl.errors import UserError
 from rrmctl.store.files import remove_leftovers
 from rrmctl.store.layout import Layout
 from rrmctl.store.locks import locked
-from rrmctl.store.records import check_version, read_json, validated, write_json
+from rrmctl.store.records import read_record, write_json
 from rrmctl.store.schema import SCHEMA_VERSION
 
 
@@ -52,12 +52,8 @@ def read_trial(layout: Layout, experiment: str, variant: str) -> Trial | None:
         UserError: its file is damaged, cannot be read now, or is of another schema version.
     """
     path = layout.trial(experiment, variant)
-    content = read_json(path)
-    if content is None:
-        return None
     hint = "move it away to begin another test, whose error rate then no longer counts the looks of this one"
-    check_version(content.pop("schema_version", None), path, hint)
-    return validated(Trial, content, path, hint)
+    return read_record(Trial, path, hint)
 
 
 def begin_trial(layout: Layout, experiment: str, variant: str, trial: Trial) -> None:

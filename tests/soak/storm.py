@@ -17,8 +17,7 @@ from pathlib import Path
 from rrmctl.errors import Exit
 from rrmctl.running.local import LocalExecutor
 from rrmctl.running.supervisor import Supervisor
-from rrmctl.store.reader import run_status
-from rrmctl.store.status import RunState, read_status
+from rrmctl.store.status import RunState, read_status, run_status
 from rrmctl.store.sweeps import Job
 from tests.rrmctl.running.standin import COMMAND, STEP_S, expected, prepare
 from tests.rrmctl.running.test_supervisor import Record, rows

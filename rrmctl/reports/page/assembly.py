@@ -25,8 +25,7 @@ from rrmctl.reports.select import sections_of
 from rrmctl.reports.series import Section
 from rrmctl.reports.statistics import DEFAULTS, Statistics
 from rrmctl.reports.tables import explained
-from rrmctl.store.layout import open_results
-from rrmctl.store.reader import check_profile, chosen_experiments
+from rrmctl.store.layout import check_profile, chosen_experiments, open_results
 from rrmctl.store.snapshot import Snapshot
 
 
@@ -69,23 +68,24 @@ def _variants(store: Snapshot, experiment: str, *, allow_mixed: bool) -> Iterato
     """The variants of an experiment, with what may be averaged of each or why nothing may."""
     runs, needed = store.runs(), store.runs(needed=True)
     names = dict.fromkeys(str(run.plan["variant"]) for run in runs)
-    shown: dict[str, Section | UserError] = {}
+    shown: dict[str, Section | UserError]
     try:
-        shown = {section.variant: section.refusal or section for section in sections_of(store, allow_mixed=allow_mixed)}
+        shown = {one.variant: one.refusal or one for one in sections_of(store, allow_mixed=allow_mixed)}
     except UserError as error:
         shown = dict.fromkeys(names, error)
-    for variant in names:
-        own, others = (tuple(run for run in group if run.plan["variant"] == variant) for group in (runs, needed))
-        yield Variant(experiment, variant, own, others, shown[variant])
+    for name in names:
+        own, others = (tuple(run for run in group if run.plan["variant"] == name) for group in (runs, needed))
+        yield Variant(experiment, name, own, others, shown[name])
 
 
 def _overview(variants: Sequence[Variant]) -> Part:
     shown = columns("experiment", "variant", "runs", "done", "failed", "steps", "labels", "wall_s")
-    whole, rows = total(run for variant in variants for run in variant.everything), []
-    for each in variants:
-        failed = len({run.id for run in each.everything if run.plan["state"] in TROUBLE})
-        named = {"experiment": each.experiment, "link": each.id, "variant": each.name, "failed": failed}
-        rows.append(named | total(each.everything))
+    rows = []
+    for variant in variants:
+        failed = len({run.id for run in variant.everything if run.plan["state"] in TROUBLE})
+        named = {"experiment": variant.experiment, "link": variant.id, "variant": variant.name, "failed": failed}
+        rows.append(named | total(variant.everything))
+    whole = total(run for variant in variants for run in variant.everything)
     told = f"{whole['done']} of {whole['runs']} planned runs are done."
     table = Table("What this page holds, runs that others need included", shown, rows)
     return Part(id="overview", title="Overview", paragraphs=[told], tables=[table])

@@ -46,20 +46,23 @@ _HEADINGS = {
 
 def columns(*fields: str) -> list[Column]:
     """Columns of these fields."""
-    heads = [_HEADINGS.get(name, name.capitalize()) for name in fields]
     return [
-        Column(head, name, name in _NUMBERS, _NUMBERS.get(name, str)) for head, name in zip(heads, fields, strict=True)
+        Column(_HEADINGS.get(name, name.capitalize()), name, name in _NUMBERS, _NUMBERS.get(name, str))
+        for name in fields
     ]
 
 
 def parts(name: str, runs: Sequence[Run], needed: Sequence[Run]) -> Iterator[Part]:
     """The lists of a variant."""
     everything = [*runs, *needed]
+    shown = columns(*GROUP, "runs", "done", "steps", "queries", "labels", "wall_s", "steps_per_s")
+    last = dict.fromkeys(GROUP, "") | {"task": "all"} | total(everything)
+    spent = Table("What was spent", shown, spending(everything).to_dict("records"), last)
     common = _of_texts("Settings of all runs, values as JSON", common_settings(runs))
     made = _of_texts("What runs were started with", makings(everything))
     told = "Training time as the runs recorded it, on the machines below, while others ran beside them or not."
     lists = [
-        Part(id="spent", title="Steps, feedback and time", paragraphs=[told], tables=[_spent(everything)]),
+        Part(id="spent", title="Steps, feedback and time", paragraphs=[told], tables=[spent]),
         Part(id="runs", title="Runs", tables=[_runs("Planned runs", runs), _runs("Runs that these need", needed)]),
         Part(id="settings", title="Settings", tables=[_differing(runs), common]),
         Part(id="versions", title="Machines and versions", tables=[made]),
@@ -77,24 +80,16 @@ def failures(runs: Sequence[Run]) -> list[tuple[str, str]]:
     return [(why, "; ".join(stopped)) for why, stopped in sorted(found.items(), key=lambda item: -len(item[1]))]
 
 
-def _spent(runs: Sequence[Run]) -> Table:
-    shown = columns(*GROUP, "runs", "done", "steps", "queries", "labels", "wall_s", "steps_per_s")
-    last = dict.fromkeys(GROUP, "") | {"task": "all"} | total(runs)
-    return Table("What was spent", shown, spending(runs).to_dict("records"), last)
-
-
 def _runs(which: str, runs: Sequence[Run]) -> Table:
     counts = ("step", "planned", "evaluations", "success", "true_return", "labels", "wall_s", "attempt")
+    rows = []
+    for run in runs:
+        facts = run.plan | run.facts()
+        scores = {name: run.curve[name].iloc[-1] if len(run.curve) else None for name in ("success", "true_return")}
+        started = (facts["started"] or "")[:16].replace("T", " ") or None  # to the minute, in UTC as it was recorded
+        rows.append(facts | scores | {"planned": facts["steps"], "started": started})
     shown = columns("run", *GROUP, "seed", "state", *counts, "started")
-    return Table(f"{which}, with their last evaluation", shown, [_row(run) for run in runs])
-
-
-def _row(run: Run) -> dict[str, Any]:
-    """What is known of a run, and when it began to the minute, in UTC as it was recorded."""
-    facts, names = run.plan | run.facts(), ["success", "true_return"]
-    scores: dict[Any, Any] = dict.fromkeys(names) if run.curve.empty else run.curve[names].iloc[-1].to_dict()
-    started = (facts["started"] or "")[:16].replace("T", " ") or None
-    return facts | scores | {"planned": facts["steps"], "started": started}
+    return Table(f"{which}, with their last evaluation", shown, rows)
 
 
 def _differing(runs: Sequence[Run]) -> Table:

@@ -23,9 +23,8 @@ from rrmctl.store import load, planned
 from rrmctl.store.curve import CurveWriter
 from rrmctl.store.layout import Layout
 from rrmctl.store.locks import try_lock
-from rrmctl.store.reader import run_status
 from rrmctl.store.schema import TIMINGS
-from rrmctl.store.status import ErrorKind, RunError, RunState, Status, read_status, write_status
+from rrmctl.store.status import ErrorKind, RunError, RunState, Status, read_status, run_status, write_status
 from rrmctl.store.sweeps import read_sweeps
 from rrmctl.terminal import console
 from tests.rrmctl.running.standin import prepare, row

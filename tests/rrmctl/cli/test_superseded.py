@@ -17,7 +17,8 @@ from rrmctl.store import load, planned
 from rrmctl.store.curve import CurveWriter
 from rrmctl.store.layout import Layout
 from rrmctl.store.locks import try_lock
-from rrmctl.store.status import RunState, Status, record_config, write_status
+from rrmctl.store.provenance import record_config
+from rrmctl.store.status import RunState, Status, write_status
 from rrmctl.store.sweeps import SweepRecord, read_sweeps, record_sweep
 from tests.rrmctl.cli.test_run import call
 from tests.rrmctl.running.standin import row

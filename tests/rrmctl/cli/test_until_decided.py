@@ -16,9 +16,10 @@ from rrmctl.running.config_file import config_content
 from rrmctl.store import planned
 from rrmctl.store.curve import CurveWriter
 from rrmctl.store.layout import Layout
+from rrmctl.store.provenance import record_config
 from rrmctl.store.records import write_json
 from rrmctl.store.schema import SCHEMA_VERSION
-from rrmctl.store.status import RunState, Status, record_config, write_status
+from rrmctl.store.status import RunState, Status, write_status
 from rrmctl.store.trials import Pairing, Trial, begin_trial, read_trial
 from tests.rrmctl.cli.test_run import ERROR, EXPERIMENTS, PLAN, call, start
 from tests.rrmctl.reports.frames import Sweep

@@ -29,7 +29,7 @@ from rrmctl.running.config_file import config_content
 from rrmctl.running.monitor import RunMonitor
 from rrmctl.store import lease, owner
 from rrmctl.store.layout import Layout, RunFolder
-from rrmctl.store.status import record_config
+from rrmctl.store.provenance import record_config
 from rrmctl.store.sweeps import Job, SweepRecord, record_sweep
 
 COMMAND = (sys.executable, __file__)

@@ -28,8 +28,7 @@ from rrmctl.running.supervisor import Supervisor, Terms
 from rrmctl.store import load
 from rrmctl.store.layout import Layout
 from rrmctl.store.locks import try_lock
-from rrmctl.store.reader import log_tail, run_status
-from rrmctl.store.status import ErrorKind, RunState, read_status, write_status
+from rrmctl.store.status import ErrorKind, RunState, log_tail, read_status, run_status, write_status
 from rrmctl.store.sweeps import Job
 from tests.rrmctl.running.standin import COMMAND, expected, prepare
 

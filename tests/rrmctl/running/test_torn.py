@@ -17,8 +17,8 @@ from rrmctl.running.monitor import RunMonitor
 from rrmctl.running.worker import WorkerExit, main
 from rrmctl.store.curve import read_curve
 from rrmctl.store.layout import Layout, RunFolder
+from rrmctl.store.provenance import record_config
 from rrmctl.store.schema import TIMINGS
-from rrmctl.store.status import record_config
 
 pytestmark = pytest.mark.slow
 

@@ -24,7 +24,8 @@ from rrmctl.store import provenance, records
 from rrmctl.store.curve import read_curve
 from rrmctl.store.layout import Layout, RunFolder
 from rrmctl.store.locks import is_locked, try_lock
-from rrmctl.store.status import ErrorKind, RunState, Status, read_status, record_config, write_status
+from rrmctl.store.provenance import record_config
+from rrmctl.store.status import ErrorKind, RunState, Status, read_status, write_status
 from tests.rrmctl.running.standin import Trainer, config, prepare
 
 

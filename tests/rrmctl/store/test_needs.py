@@ -10,9 +10,8 @@ import pytest
 
 from rrmctl.store.files import DamagedError
 from rrmctl.store.layout import Layout
-from rrmctl.store.reader import statuses
 from rrmctl.store.snapshot import planned
-from rrmctl.store.status import ErrorKind, RunError, RunState, Status, write_status
+from rrmctl.store.status import ErrorKind, RunError, RunState, Status, statuses, write_status
 from rrmctl.store.sweeps import Job, SweepRecord, read_sweeps, record_sweep
 
 ERROR = RunError(kind=ErrorKind.REFUSED, type="DemosError", message="the expert fails")

@@ -14,8 +14,16 @@ from rrmctl.store.layout import Layout, RunFolder
 from rrmctl.store.lease import Lease
 from rrmctl.store.locks import try_lock
 from rrmctl.store.owner import HERE, Beat, Machine, is_owned, owned, read_beat
-from rrmctl.store.reader import run_status
-from rrmctl.store.status import ErrorKind, RunError, RunState, Status, read_status, record_failure, write_status
+from rrmctl.store.status import (
+    ErrorKind,
+    RunError,
+    RunState,
+    Status,
+    read_status,
+    record_failure,
+    run_status,
+    write_status,
+)
 from rrmctl.store.unused import remove
 from tests.rrmctl.running.standin import prepare
 

@@ -17,11 +17,10 @@ from rrmctl.errors import UserError
 from rrmctl.store import load, planned
 from rrmctl.store.curve import CurveWriter
 from rrmctl.store.files import DamagedError, VersionError
-from rrmctl.store.layout import Layout
+from rrmctl.store.layout import Layout, find_run
 from rrmctl.store.locks import try_lock
-from rrmctl.store.provenance import collect, read_provenance
+from rrmctl.store.provenance import collect, read_config, read_provenance, record_config
 from rrmctl.store.provenance import record as record_provenance
-from rrmctl.store.reader import find_run, find_sweeps, log_tail, read_config, run_status
 from rrmctl.store.schema import LABELS, MEASURED
 from rrmctl.store.snapshot import Snapshot
 from rrmctl.store.status import (
@@ -29,12 +28,13 @@ from rrmctl.store.status import (
     RunError,
     RunState,
     Status,
+    log_tail,
     read_status,
-    record_config,
     record_failure,
+    run_status,
     write_status,
 )
-from rrmctl.store.sweeps import Job, SweepRecord, read_sweeps, readable_sweeps, record_sweep
+from rrmctl.store.sweeps import Job, SweepRecord, find_sweeps, read_sweeps, readable_sweeps, record_sweep
 from rrmctl.store.trials import Trial, begin_trial, read_trial
 from tests.rrmctl.running.standin import prepare, row
 
