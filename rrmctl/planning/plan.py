@@ -91,11 +91,16 @@ def make_plan(
         )
     cells: list[tuple[Job, Config]] = []
     chains: dict[str, Config] = {}
+    named: dict[Label, Config] = {}
     for row in rows:
         job, config, needed = _cell(manifest, row, (known | added)[row.method], scale, settings)
+        if named.setdefault(job.row, config) != config:  # no report could tell them apart
+            raise UserError(
+                f"{manifest.path}: two different runs are both called {' / '.join(job.row)}",
+                "give one of them a method name of its own: [method.NAME] with learner and prior",
+            )
         cells.append((job, config))
         chains |= {each.identity: each for each in needed}
-    _refuse_ambiguous(cells, manifest)
     jobs: dict[str, Job] = {}
     configs: dict[str, Config] = {}
     for seed, (job, config) in itertools.product(numbers, cells):
@@ -106,7 +111,7 @@ def make_plan(
     return Plan(
         experiment=manifest.name, profile=scale, overrides=settings, variant=variant(scale, settings),
         jobs=tuple(jobs.values()),
-        needed=tuple(_needed(run, config) for run, config in chains.items() if run not in jobs),
+        needed=tuple(_job(run, config) for run, config in chains.items() if run not in jobs),
         configs=chains | configs, manifest=manifest, priors=tuple(str(new.prior) for new in added.values()),
     )  # fmt: skip
 
@@ -156,10 +161,10 @@ def _check(manifest: Manifest, rows: list[GridRow]) -> None:
         check_names(manifest, row)
     sections: list[Mapping[str, Any]] = [manifest.tasks, manifest.methods, manifest.teachers, manifest.feedback]
     for axis, section in zip(AXES.values(), sections, strict=True):
-        used = {getattr(row, axis) for row in rows}
+        used = sorted({getattr(row, axis) for row in rows})
         for name in section:
             problem = f"{manifest.path} [{axis}.{name}]: the grid has no {axis} of this name"
-            check_known(name, sorted(used), problem, "the grid has")
+            check_known(name, used, problem, "the grid has")
     check_sections(manifest)
 
 
@@ -208,23 +213,10 @@ def _cell(
     return _job("", config, label), config, needed
 
 
-def _needed(run: str, config: Config) -> Job:
-    # An oracle that nothing reports has a name of its own: the experiment's may be of another length.
-    return _job(run, config, Label(config.task, "expert" if config.method == "oracle" else config.method))
-
-
-def _job(run: str, config: Config, label: Label) -> Job:
+def _job(run: str, config: Config, label: Label | None = None) -> Job:
+    """A run under this label; one that nothing reports is called by its method."""
+    # An oracle that is only needed has a name of its own: the experiment's may be of another length.
+    names = label or Label(config.task, "expert" if config.method == "oracle" else config.method)
     return Job(
-        id=run, cell=config.cell, **label._asdict(), seed=config.seed, steps=config.steps, requires=config.requires
+        id=run, cell=config.cell, **names._asdict(), seed=config.seed, steps=config.steps, requires=config.requires
     )
-
-
-def _refuse_ambiguous(cells: Iterable[tuple[Job, Config]], manifest: Manifest) -> None:
-    """Two different configurations under one name could not be told apart in any report."""
-    seen: dict[Label, Config] = {}
-    for job, config in cells:
-        if seen.setdefault(job.row, config) != config:
-            raise UserError(
-                f"{manifest.path}: two different runs are both called {' / '.join(job.row)}",
-                "give one of them a method name of its own: [method.NAME] with learner and prior",
-            )

@@ -36,7 +36,7 @@ _UNDER_WAY = ("running", "interrupted", "queued")
 def read_sections(
     results: str | Path, experiment: str | None = None, *, allow_mixed: bool = False
 ) -> tuple[Section, ...]:
-    """The sections of one experiment, or of all in the store, from the files below `results`.
+    """The sections of one experiment, or of all in the store.
 
     A section whose runs do not belong together says so (`Section.refusal`), and is refused where it is chosen.
 

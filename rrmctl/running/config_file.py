@@ -40,10 +40,7 @@ def config_content(config: JobConfig) -> dict[str, Any]:
 def load_config(folder: RunFolder) -> JobConfig:
     """The run's configuration, checked against its id and against the user's files it names.
 
-    Raises:
-        DamagedError: the file is missing, damaged or edited.
-        MissingFileError: a file of the user's that it names is not there now, or is another one by now.
-        UserError, RrmError: it is of another version.
+    Raises MissingFileError where one of those is not there now, or is another one by now.
     """
     from pydantic import ValidationError
 

@@ -42,11 +42,7 @@ def say(text: str) -> None:
 
 
 class Pipe:
-    """The worker's end of the pipe: one JSON object per line, without ever waiting for the reader.
-
-    Args:
-        descriptor: where to write; None when nobody listens.
-    """
+    """The worker's end of the pipe, if there is one: a JSON object a line, without ever waiting for the reader."""
 
     def __init__(self, descriptor: int | None) -> None:
         self._descriptor = descriptor
@@ -102,12 +98,7 @@ class Leave(BaseException):
 
 
 class StopRequest:
-    """Set by SIGTERM, SIGINT, or the death of the parent. Used as a context, in the main thread.
-
-    Args:
-        parent: the process to watch; None when the worker was started by hand.
-        pipe: told why.
-    """
+    """Set by SIGTERM, SIGINT, or the death of the parent, if there is one. Used as a context, in the main thread."""
 
     def __init__(self, parent: int | None, pipe: Pipe) -> None:
         self._parent = parent

@@ -46,17 +46,9 @@ _SENT = frozenset({signal.SIGKILL, signal.SIGTERM, signal.SIGINT, signal.SIGHUP,
 
 
 class Child:
-    """The worker of one run. Its output goes to the run's log.
+    """The worker of one run. Its output goes to the run's log; root, id and options are added to the command.
 
-    Args:
-        layout: the results root.
-        order: the run.
-        command: the program, to which root, id and options are added.
-        clock: of `heard`, in seconds.
-
-    Raises:
-        StorageError: the log cannot be opened.
-        OSError: the system starts no further process.
+    Raises StorageError where the log cannot be opened, and OSError where the system starts no further process.
     """
 
     def __init__(
@@ -191,11 +183,7 @@ class Child:
         self.close()
 
     def outcome(self, *, stopping: bool) -> Outcome:
-        """How the attempt ended, once it has.
-
-        Args:
-            stopping: workers had been asked to leave, and may have been ended for taking too long.
-        """
+        """How the attempt ended, once it has; where `stopping`, it may have been ended for taking too long."""
         code = self._process.returncode
         if code in _ENDINGS:
             return Outcome(_ENDINGS[code])

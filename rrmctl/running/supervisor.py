@@ -86,11 +86,7 @@ class Supervisor:
         self.scheduler = Scheduler(self._terms, slots=self.slots, retries=self.retries, requires=requires)
 
     def run(self) -> Exit:
-        """See every job to its end, or to a good place to stop.
-
-        Returns:
-            `DONE`, `FAILED`, `INCOMPLETE`, or `INTERRUPTED` after a second signal.
-        """
+        """See every job to its end, or to a good place to stop; `INTERRUPTED` after a second signal."""
         with self._heeding_signals():
             try:
                 while not self.scheduler.finished:

@@ -28,12 +28,7 @@ _GRADIENTS = {"run": TEXT, "step": WHOLE, "loss": TEXT, "gradient_norm": NUMBER}
 
 
 class CurveWriter:
-    """The curve of one run. Only for the holder of the run's lock.
-
-    Args:
-        folder: the run's folder.
-        identity: values of the columns in `schema.IDENTITY`.
-    """
+    """The curve of one run, with the values of the columns in `IDENTITY`. Only for the holder of the run's lock."""
 
     def __init__(self, folder: RunFolder, identity: Mapping[str, Any]) -> None:
         self._folder = folder
@@ -55,15 +50,7 @@ class CurveWriter:
         return step in self._rows
 
     def add(self, *rows: Mapping[str, Any]) -> None:
-        """Write evaluations, durably; rows of the same steps are replaced.
-
-        Args:
-            rows: the measured columns, and figures.
-
-        Raises:
-            StorageError: the folder takes no write; the curve on disk holds the rows before.
-            KeyError: a row lacks a measured column.
-        """
+        """Write evaluations, measured columns and figures, durably; rows of the same steps are replaced."""
         held = self._rows | {int(row["step"]): {name: row[name] for name in (*MEASURED, *row)} for row in rows}
         table = table_of([self._identity | held[step] for step in sorted(held)])
         write_table(self._folder.curve, table, **SETTINGS)

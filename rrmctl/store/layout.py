@@ -1,15 +1,6 @@
 """Where everything lies below a results root. No other file spells a path.
 
-runs/<id>/config.json         the full configuration, and the run's id, cell and method
-runs/<id>/provenance.json     versions, machine, code and environment it ran with; what changed at each resumption
-runs/<id>/curve.parquet       one row per evaluation
-runs/<id>/status.json         state, attempt, progress, error
-runs/<id>/log.txt             everything the worker printed
-runs/<id>/lock, guard, lease.json    who owns the run, see `rrmctl.store.lease` and `owner`
-runs/<id>/checkpoint/         the trainer's own, gone when the run is done
-runs/<id>/model.safetensors   the final networks
-runs/<id>/demos.safetensors   the demonstrations, of a run that collects them
-runs/<id>/gradients.parquet   norms of gradients, of a run that fine-tunes an imitation reward
+runs/<id>/                           the files of a run, see `RunFolder`
 sweeps/<experiment>/<variant>.json   what `run` was asked for
 trials/<experiment>/<variant>.json   the rules of `run --until-decided`
 aggregates/<experiment>.parquet      interquartile mean curves
@@ -53,18 +44,18 @@ class RunFolder:
 
     path: Path
 
-    config = _Entry("config.json")  #: written once, before the run starts
-    provenance = _Entry("provenance.json")  #: written when the run starts, extended when it resumes
-    curve = _Entry("curve.parquet")  #: replaced after each evaluation
-    status = _Entry("status.json")  #: replaced at each change of state and every few seconds in between
-    log = _Entry("log.txt")  #: only ever appended to
+    config = _Entry("config.json")  #: the full configuration, and id, cell and method; written before the run starts
+    provenance = _Entry("provenance.json")  #: versions, machine, code and environment; what changed at resumptions
+    curve = _Entry("curve.parquet")  #: one row per evaluation; replaced after each
+    status = _Entry("status.json")  #: state, attempt, progress, error; replaced every few seconds
+    log = _Entry("log.txt")  #: everything the worker printed; only ever appended to
     lock = _Entry("lock")  #: empty; what counts is who holds it
     guard = _Entry("guard")  #: empty; held for the moment of a write, see `rrmctl.store.lease`
     lease = _Entry("lease.json")  #: the owner's signs of life
-    checkpoint = _Entry("checkpoint")  #: the trainer's own folder
-    model = _Entry("model.safetensors")  #: written when training is over
-    demos = _Entry("demos.safetensors")  #: written when they are all there
-    gradients = _Entry("gradients.parquet")  #: replaced with the curve
+    checkpoint = _Entry("checkpoint")  #: the trainer's own folder, gone when the run is done
+    model = _Entry("model.safetensors")  #: the final networks
+    demos = _Entry("demos.safetensors")  #: the demonstrations, of a run that collects them
+    gradients = _Entry("gradients.parquet")  #: norms, of a run that fine-tunes an imitation reward
 
     @property
     def id(self) -> str:

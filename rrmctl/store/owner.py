@@ -107,12 +107,7 @@ def lock_free(folder: RunFolder, patience_s: float = 0.0, silent: Beat | None = 
 
 
 class Watch:
-    """Looks at the leases of other processes, by this process' own clock.
-
-    Args:
-        lease_s: how long nothing may follow a sign of life.
-        clock: seconds that this process has lived through.
-    """
+    """Looks at the leases of other processes, by the clock of what this process has lived through."""
 
     def __init__(self, lease_s: float = LEASE_S, clock: Callable[[], float] | None = None) -> None:
         self._lease_s = lease_s

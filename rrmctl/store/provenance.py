@@ -38,20 +38,11 @@ _CIRCUMSTANCES = ("started", "host", "argv", "attempt")
 CONFIG_HINT = "run its experiment again: `rrmctl run NAME` writes it anew"
 
 
-@dataclasses.dataclass(frozen=True)
-class _Config:
-    """What the program itself reads of a configuration; the rest is checked when the run starts."""
-
-    id: StrictStr
-    cell: StrictStr
-    profile: StrictStr
-    task: StrictStr
-    method: StrictStr
-    precision: StrictStr
-    config_version: StrictInt
-    seed: StrictInt
-    steps: StrictInt
-    threads: StrictInt
+#: What the program itself reads of a configuration; the rest is checked when the run starts.
+_Config = dataclasses.make_dataclass("_Config", [
+    *((name, StrictStr) for name in ("id", "cell", "profile", "task", "method", "precision")),
+    *((name, StrictInt) for name in ("config_version", "seed", "steps", "threads")),
+])  # fmt: skip
 
 
 def read_config(folder: RunFolder) -> dict[str, Any]:
