@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from rrmctl.cli.request import duration
-from rrmctl.running.scheduler import Ending, Outcome, Stage
+from rrmctl.running.scheduler import Outcome, Stage
 from rrmctl.store.layout import Layout
 from rrmctl.store.status import ErrorKind, RunError, log_tail
 from rrmctl.store.sweeps import Job
@@ -56,15 +56,15 @@ class Lines:
         if phase in (Stage.DONE, Stage.FAILED, Stage.BLOCKED):
             self.over += 1
         match outcome.ending:
-            case Ending.DONE:
+            case Stage.DONE:
                 self.say(job, f"done ({self.over} of {self.total})", style="green")
-            case Ending.STOPPED:
+            case Stage.STOPPED:
                 self.say(job, "stopped; it goes on from its checkpoint", style="yellow")
-            case Ending.ELSEWHERE:
+            case Stage.ELSEWHERE:
                 self.say(job, "is run by another process", style="dim")
-            case Ending.BLOCKED:
+            case Stage.BLOCKED:
                 self.say(job, f"not run: {outcome.error}", style="red")
-            case Ending.FAILED:
+            case Stage.FAILED:
                 assert outcome.error is not None  # a failure says why
                 self._failed(job, outcome.error, phase)
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import sys
 from collections.abc import Iterable, Mapping
+from dataclasses import fields
 from functools import partial
 from typing import TYPE_CHECKING, Annotated
 
@@ -211,10 +212,7 @@ def _record(console: Console, layout: Layout, plan: Plan) -> SweepRecord:
     path = layout.sweep(plan.experiment, plan.variant)
     damage = set_damaged_aside(layout, path)  # one of another version is refused before anything is written
     known = read_sweep(path)
-    asked = SweepRecord(
-        experiment=plan.experiment, variant=plan.variant, profile=plan.profile, overrides=plan.overrides,
-        jobs=plan.jobs, needed=plan.needed, priors=plan.priors,
-    )  # fmt: skip
+    asked = SweepRecord(**{field.name: getattr(plan, field.name) for field in fields(SweepRecord)})
     notes = [damage, *_configure(layout, plan, plan.everything)]
     late = set(record_sweep(layout, asked).superseded) - set(known.superseded if known else ())
     if late:

@@ -21,31 +21,22 @@ from rrmctl.planning.methods import Method, method, residual
 from rrmctl.planning.prerequisites import Config, supply
 from rrmctl.planning.profiles import profile as find_profile
 from rrmctl.planning.settings import check_assignments, parse_assignments
-from rrmctl.store.sweeps import Job
+from rrmctl.store.sweeps import Job, SweepRecord
 
 _MOST_SEEDS = 10_000
 _MOST_RUNS = 100_000  # some ten seconds of planning
 _LARGEST_SEED = 2**32 - 1
 
 
-@dataclass(frozen=True)
-class Plan:
-    """What one `run` command asks for. Jobs of equal configuration are one job."""
+@dataclass(frozen=True, kw_only=True)
+class Plan(SweepRecord):
+    """What one `run` command asks for: jobs seed by seed, so that every method has its first curve early.
 
-    experiment: str
-    profile: str
-    overrides: dict[str, Any]  #: of `--set`, by dotted name
-    variant: str  #: stands for profile and overrides; results of two variants are never put together
-    jobs: tuple[Job, ...]  #: seed by seed, so that every method has its first curve early
-    needed: tuple[Job, ...]  #: runs that jobs need and that are none of them, each before those that need it
+    Jobs of equal configuration are one job; what is needed stands before those that need it.
+    """
+
     configs: Mapping[str, Config]  #: of every run, by id
     manifest: Manifest
-    priors: tuple[str, ...] = ()  #: of `--prior`, files with their whole paths
-
-    @property
-    def everything(self) -> tuple[Job, ...]:
-        """All runs, those that others need first."""
-        return (*self.needed, *self.jobs)
 
 
 def make_plan(

@@ -15,7 +15,7 @@ from typing import Any
 
 from rrm.environ import environment
 from rrmctl.running.executor import Evaluated, Event, Note, Progress, Started, WorkOrder
-from rrmctl.running.scheduler import Ending, Outcome
+from rrmctl.running.scheduler import Outcome, Stage
 from rrmctl.running.worker import WorkerExit
 from rrmctl.store.files import storage_error
 from rrmctl.store.layout import Layout
@@ -29,9 +29,12 @@ _THREAD_VARIABLES = (
     "OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMEXPR_NUM_THREADS", "VECLIB_MAXIMUM_THREADS"
 )  # fmt: skip
 
-_ENDINGS: dict[int, Ending] = {
-    WorkerExit.DONE: Ending.DONE, WorkerExit.STOPPED: Ending.STOPPED, WorkerExit.LOCKED: Ending.ELSEWHERE
+_ENDINGS: dict[int, Stage] = {
+    WorkerExit.DONE: Stage.DONE, WorkerExit.STOPPED: Stage.STOPPED, WorkerExit.LOCKED: Stage.ELSEWHERE
 }  # fmt: skip
+
+#: What messages say, by the name of their event; their other entries are its fields.
+_EVENTS: dict[str, Callable[..., Event]] = {"start": Started, "beat": Progress, "row": Evaluated, "note": Note}
 
 #: What is said of exit codes where the worker's message was lost, as the pipe was full.
 _UNHEARD: dict[int, tuple[ErrorKind, str]] = {
@@ -118,14 +121,8 @@ class Child:
         except ValueError:
             message = None
         match message:
-            case {"event": "start", "attempt": attempt, "rows": rows}:
-                return Started(self.job, attempt, rows)
-            case {"event": "beat", "step": step, "steps_per_s": steps_per_s}:
-                return Progress(self.job, step, steps_per_s)
-            case {"event": "row", "step": step, "success": success, "true_return": true_return}:
-                return Evaluated(self.job, step, success, true_return)
-            case {"event": "note", "text": text}:
-                return Note(self.job, text)
+            case {"event": str(name), **fields} if name in _EVENTS:
+                return _EVENTS[name](self.job, **fields)  # type: ignore[arg-type]  # keys of JSON are texts
             case {"event": "error", "kind": kind, "type": name, "message": text}:
                 self._error = RunError(kind=ErrorKind(kind), type=name, message=text)
         return None if isinstance(message, dict) and "event" in message else Note(self.job, repr(line))
@@ -188,8 +185,8 @@ class Child:
         if code in _ENDINGS:
             return Outcome(_ENDINGS[code])
         if self._error is None and stopping and -code in (signal.SIGKILL, signal.SIGTERM):
-            return Outcome(Ending.STOPPED)  # too slow to leave, or not begun; its last checkpoint holds
-        return Outcome(Ending.FAILED, self._error or self._ended_for or self._unspoken(code))
+            return Outcome(Stage.STOPPED)  # too slow to leave, or not begun; its last checkpoint holds
+        return Outcome(Stage.FAILED, self._error or self._ended_for or self._unspoken(code))
 
     def _unspoken(self, code: int) -> RunError:
         """Why a worker is gone that could not say so itself."""

@@ -17,7 +17,7 @@ from typing import Protocol
 
 from rrmctl.errors import Exit, UserError
 from rrmctl.running.executor import Ended, Evaluated, Event, Executor, Note, Progress, Started, WorkOrder
-from rrmctl.running.scheduler import Ending, Outcome, Scheduler, Stage
+from rrmctl.running.scheduler import Outcome, Scheduler, Stage
 from rrmctl.store.files import StorageError
 from rrmctl.store.layout import Layout
 from rrmctl.store.owner import LEASE_S, Beat, Watch, is_owned
@@ -125,7 +125,7 @@ class Supervisor:
             status = run_status(self.layout.run(job))
             settled = None if job in self._launched else self._settled(job, status)
             if status.state is RunState.RUNNING and job not in self._silent:
-                settled = Outcome(Ending.ELSEWHERE)
+                settled = Outcome(Stage.ELSEWHERE)
             if settled is not None:
                 self._conclude(job, settled)
                 continue
@@ -182,8 +182,8 @@ class Supervisor:
         if status.attempt <= self._terms[job].attempt:
             return None
         if status.state is RunState.DONE:
-            return Outcome(Ending.DONE)
-        return Outcome(Ending.FAILED, status.error) if status.state is RunState.FAILED else None
+            return Outcome(Stage.DONE)
+        return Outcome(Stage.FAILED, status.error) if status.state is RunState.FAILED else None
 
     def _heed(self, event: Event) -> None:
         match event:
@@ -198,7 +198,7 @@ class Supervisor:
                 self.watcher.note(*event)
             case Ended(run, outcome):
                 # Some library may end the process with exit code 0: only the status says done.
-                if outcome.ending is Ending.DONE and run_status(self.layout.run(run)).state is not RunState.DONE:
+                if outcome.ending is Stage.DONE and run_status(self.layout.run(run)).state is not RunState.DONE:
                     outcome = _failure(ErrorKind.CRASHED, "Exit", "left with exit code 0 before its end")
                 self._conclude(run, outcome)
 
@@ -222,8 +222,8 @@ class Supervisor:
         self.watcher.ended(job, outcome, phase)
         if phase is Stage.FAILED:
             for blocked in self.scheduler.block(job):
-                self.watcher.ended(blocked, Outcome(Ending.BLOCKED, blocked_by(job, outcome.error)), Stage.BLOCKED)
+                self.watcher.ended(blocked, Outcome(Stage.BLOCKED, blocked_by(job, outcome.error)), Stage.BLOCKED)
 
 
 def _failure(kind: ErrorKind, name: str, message: str) -> Outcome:
-    return Outcome(Ending.FAILED, RunError(kind=kind, type=name, message=message))
+    return Outcome(Stage.FAILED, RunError(kind=kind, type=name, message=message))

@@ -2,7 +2,7 @@
 
     python -m rrmctl.running.worker RESULTS RUN [--fresh ATTEMPT] [--pipe FD] [--parent PID] [--asked JSON]
 
-Nothing heavy is imported before the run's lock is held, so that losing the race for a run costs little.
+Neither torch nor a simulator is imported before the run's lock is held: losing the race for a run costs little.
 """
 
 from __future__ import annotations

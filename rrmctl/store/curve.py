@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import zlib
 from collections.abc import Mapping, Sequence
+from operator import attrgetter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -99,15 +100,11 @@ def decode(data: bytes, path: Path) -> pa.Table:
         raise DamagedError(f"{path} is damaged: {error}", again) from error
     check_version(version, path, again)
     schema = curve_schema(name for name in table.schema.names if name not in IDENTITY | MEASURED)
-    if sorted(table.schema, key=_name) != sorted(schema, key=_name):
+    if sorted(table.schema, key=attrgetter("name")) != sorted(schema, key=attrgetter("name")):
         raise DamagedError(f"{path} is damaged: its columns are not those of a curve", again)
     if metadata.get(CHECKSUM_KEY) != found:
         raise DamagedError(f"{path} is damaged: its content does not match its checksum", again)
     return table.select(schema.names)
-
-
-def _name(field: pa.Field) -> str:
-    return str(field.name)
 
 
 def _rerunning(folder: RunFolder) -> str:
