@@ -29,13 +29,13 @@ RUN_ID = re.compile(r"[0-9a-f]{16}")
 
 
 class _Entry:
-    """A file or folder of this name in a run's folder."""
+    """A file or folder of this name in a run's folder; of the class, the name alone."""
 
     def __init__(self, name: str) -> None:
         self._name = name
 
-    def __get__(self, folder: RunFolder, _owner: type[RunFolder]) -> Path:
-        return folder.path / self._name
+    def __get__(self, folder: RunFolder | None, _owner: type[RunFolder]) -> Path:
+        return Path(self._name) if folder is None else folder.path / self._name
 
 
 @dataclass(frozen=True)
