@@ -57,7 +57,7 @@ class Field(NamedTuple):
 
 _KINDS = {"string": TEXT, "integer": WHOLE, "number": NUMBER}
 _TOLD = {
-    section: {name: Field(told["type"], told.get("unit", ""), told["meaning"]) for name, told in columns.items()}
+    section: {name: Field(entry["type"], entry.get("unit", ""), entry["meaning"]) for name, entry in columns.items()}
     for section, columns in tomllib.loads(Path(__file__).with_name("columns.toml").read_text(encoding="utf-8")).items()
 }
 

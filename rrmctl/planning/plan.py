@@ -68,10 +68,10 @@ def make_plan(
     settings = check_assignments(overrides) if isinstance(overrides, Mapping) else parse_assignments(overrides)
     numbers = parse_seeds(manifest.seeds, f"{manifest.path}: seeds") if seeds is None else parse_seeds(seeds, "--seeds")
     rows = rows_of(manifest)
-    known = {row.method: method(row.method, manifest.methods, manifest.path.parent, str(manifest.path)) for row in rows}
+    own = {row.method: method(row.method, manifest.methods, manifest.path.parent, str(manifest.path)) for row in rows}
     _check(manifest, rows)
     rows = _only(rows, "task", tasks, manifest)
-    added = _added(priors, known)
+    added = _added(priors, own)
     beside = [replace(row, method=name) for row in rows for name in added]
     rows = list(dict.fromkeys([*_only(rows, "method", methods, manifest, added), *beside]))
     if (runs := len(rows) * len(numbers)) > _MOST_RUNS:
@@ -84,14 +84,14 @@ def make_plan(
     chains: dict[str, Config] = {}
     named: dict[Label, Config] = {}
     for row in rows:
-        job, config, needed = _cell(manifest, row, (known | added)[row.method], scale, settings)
+        job, config, needed = _cell(manifest, row, (own | added)[row.method], scale, settings)
         if named.setdefault(job.row, config) != config:  # no report could tell them apart
             raise UserError(
                 f"{manifest.path}: two different runs are both called {' / '.join(job.row)}",
                 "give one of them a method name of its own: [method.NAME] with learner and prior",
             )
         cells.append((job, config))
-        chains |= {each.identity: each for each in needed}
+        chains |= {prerequisite.identity: prerequisite for prerequisite in needed}
     jobs: dict[str, Job] = {}
     configs: dict[str, Config] = {}
     for seed, (job, config) in itertools.product(numbers, cells):

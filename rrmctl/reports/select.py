@@ -159,12 +159,12 @@ def _section(
     labels = [Label(*names) for names in _distinct(jobs, *Label._fields)]
     tasks, methods = (list(dict.fromkeys(names)) for names in (jobs["task"], jobs["method"]))
     for label in sorted(labels, key=lambda label: (tasks.index(label.task), methods.index(label.method))):
-        asked = _where(jobs, label._asdict())
+        planned = _where(jobs, label._asdict())
         own = _where(rows, label._asdict())
-        series.append(_series(label, own, makings, problems, refusals, planned=len(asked)))
+        series.append(_series(label, own, makings, problems, refusals, planned=len(planned)))
         absent += [
             Absent(label, int(seed), run, state)
-            for seed, run, state in zip(asked["seed"], asked["run"], asked["state"], strict=True)
+            for seed, run, state in zip(planned["seed"], planned["run"], planned["state"], strict=True)
             if run not in series[-1].runs
         ]
     used = rows[rows["run"].isin([run for one in series for run in one.runs])]

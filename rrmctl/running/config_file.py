@@ -73,8 +73,8 @@ def load_config(folder: RunFolder) -> JobConfig:
     except ValidationError as error:
         raise DamagedError(f"{folder.config} is not a configuration: {error}", CONFIG_HINT) from error
     if config.identity != folder.id:
-        told = f"{folder.config} describes run {config.identity}, not {folder.id}: it was edited"
-        raise DamagedError(told, CONFIG_HINT)
+        problem = f"{folder.config} describes run {config.identity}, not {folder.id}: it was edited"
+        raise DamagedError(problem, CONFIG_HINT)
     return config
 
 

@@ -191,17 +191,17 @@ class Child:
     def _unspoken(self, code: int) -> RunError:
         """Why a worker is gone that could not say so itself."""
         if code in _UNHEARD:
-            kind, told = _UNHEARD[code]
-            return RunError(kind=kind, type=kind.capitalize(), message=f"{told}; its log says more")
+            kind, reason = _UNHEARD[code]
+            return RunError(kind=kind, type=kind.capitalize(), message=f"{reason}; its log says more")
         if code >= 0:
             return RunError(kind=ErrorKind.CRASHED, type="Exit", message=f"left with exit code {code}")
-        kind, told = ErrorKind.CRASHED, f"killed by signal {-code}"
+        kind, reason = ErrorKind.CRASHED, f"killed by signal {-code}"
         if -code == signal.SIGKILL and _killed_for_memory() > self._memory_kills:
-            kind, told = ErrorKind.MEMORY, "killed by the system for want of memory"
+            kind, reason = ErrorKind.MEMORY, "killed by the system for want of memory"
         elif -code in _SENT:
-            kind, told = ErrorKind.KILLED, f"{told} from outside"
+            kind, reason = ErrorKind.KILLED, f"{reason} from outside"
         names = {number.value: number.name for number in signal.Signals}
-        return RunError(kind=kind, type=names.get(-code, f"signal {-code}"), message=told)
+        return RunError(kind=kind, type=names.get(-code, f"signal {-code}"), message=reason)
 
 
 def _killed_for_memory() -> int:

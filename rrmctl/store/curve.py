@@ -62,9 +62,9 @@ def table_of(rows: list[dict[str, Any]]) -> pa.Table:
     """Rows, each with every column but those figures it has none of, as `decode` gives them back."""
     import pyarrow as pa
 
-    known = IDENTITY | MEASURED
-    schema = curve_schema(dict.fromkeys(name for row in rows for name in row if name not in known))
-    missing = dict.fromkeys(schema.names[len(known) :], math.nan)
+    fixed = IDENTITY | MEASURED
+    schema = curve_schema(dict.fromkeys(name for row in rows for name in row if name not in fixed))
+    missing = dict.fromkeys(schema.names[len(fixed) :], math.nan)
     table: pa.Table = pa.Table.from_pylist([missing | row for row in rows], schema=schema)
     return table.replace_schema_metadata({**schema.metadata, CHECKSUM_KEY: _checksum(table)})
 
@@ -95,14 +95,14 @@ def decode(data: bytes, path: Path) -> pa.Table:
         metadata = file.schema_arrow.metadata or {}
         version = int(metadata.get(VERSION_KEY, b"none"))
         table: pa.Table = file.read(use_threads=False)  # callers read many files at a time
-        found = _checksum(table)
+        checksum = _checksum(table)
     except (pa.ArrowException, OSError, ValueError, TypeError) as error:  # TypeError: a text that is missing
         raise DamagedError(f"{path} is damaged: {error}", again) from error
     check_version(version, path, again)
     schema = curve_schema(name for name in table.schema.names if name not in IDENTITY | MEASURED)
     if sorted(table.schema, key=attrgetter("name")) != sorted(schema, key=attrgetter("name")):
         raise DamagedError(f"{path} is damaged: its columns are not those of a curve", again)
-    if metadata.get(CHECKSUM_KEY) != found:
+    if metadata.get(CHECKSUM_KEY) != checksum:
         raise DamagedError(f"{path} is damaged: its content does not match its checksum", again)
     return table.select(schema.names)
 

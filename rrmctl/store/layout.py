@@ -134,13 +134,14 @@ def open_results(results: str | Path) -> Layout:
 
 def never_run(layout: Layout, *experiments: str) -> UserError:
     """What to say where the store holds no run of the first of these, or none at all."""
-    known = layout.experiments()
-    if not known:
+    present = layout.experiments()
+    if not present:
         start = rrmctl("run", "quickstart", results=layout.root)
         return UserError(f"{layout.root} holds no experiment yet", f"start one, e.g. `{start}`")
-    near = nearest(experiments[0], known)
+    near = nearest(experiments[0], present)
     start = "" if near else "; `rrmctl list` names what there is to run"
-    return UserError(f'{layout.root} holds no runs of "{experiments[0]}"{near}', f"it holds: {', '.join(known)}{start}")
+    hint = f"it holds: {', '.join(present)}{start}"
+    return UserError(f'{layout.root} holds no runs of "{experiments[0]}"{near}', hint)
 
 
 def chosen_experiments(layout: Layout, asked: Sequence[str]) -> list[str]:
@@ -149,11 +150,11 @@ def chosen_experiments(layout: Layout, asked: Sequence[str]) -> list[str]:
     Raises:
         UserError: the store holds no run of one, or none at all.
     """
-    known = layout.experiments()
-    unknown = [name for name in asked if name not in known]
-    if unknown or not known:
+    present = layout.experiments()
+    unknown = [name for name in asked if name not in present]
+    if unknown or not present:
         raise never_run(layout, *unknown)
-    return list(dict.fromkeys(asked)) or known
+    return list(dict.fromkeys(asked)) or present
 
 
 def check_profile(profile: str | None, present: Iterable[str]) -> None:

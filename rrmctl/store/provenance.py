@@ -62,12 +62,12 @@ def record_config(folder: RunFolder, content: dict[str, Any]) -> str | None:
     """
     note = None
     try:
-        known = read_json(folder.config)
+        stored = read_json(folder.config)
     except DamagedError as error:
-        known = None
+        stored = None
         if folder.config.exists():
             note = f"{error}; set aside as {set_aside(folder.config, 'corrupt').name} and written anew"
-    if known != content:
+    if stored != content:
         write_json(folder.config, content)
     return note
 
@@ -103,11 +103,11 @@ def collect(
 def read_provenance(folder: RunFolder) -> dict[str, Any] | None:
     """The run's `provenance.json`; None where it was never started."""
     hint = "move it away; what the run ran with until now is then unknown"
-    known = read_json(folder.provenance, hint)
-    if known is not None:
-        check_version(known.get("schema_version"), folder.provenance, hint)
-        validated(_Recorded, known, folder.provenance, hint, "started argv versions resumed")
-    return known
+    stored = read_json(folder.provenance, hint)
+    if stored is not None:
+        check_version(stored.get("schema_version"), folder.provenance, hint)
+        validated(_Recorded, stored, folder.provenance, hint, "started argv versions resumed")
+    return stored
 
 
 @dataclasses.dataclass(frozen=True)
@@ -141,27 +141,27 @@ def record(folder: RunFolder, facts: Mapping[str, Any]) -> list[str]:
     Returns:
         What differs from the attempt before, one line each, such as `versions.torch: 2.6.0 -> 2.7.1`.
     """
-    known = read_provenance(folder)
-    if known is None:
+    stored = read_provenance(folder)
+    if stored is None:
         lost = {"lost": True} if folder.curve.exists() or folder.checkpoint.exists() else {}
         write_json(folder.provenance, {"schema_version": SCHEMA_VERSION, **facts, **lost, "resumed": []})
         return []
-    old, new = _flat(known), _flat(facts)
-    for entry in known.get("resumed", []):
+    old, new = _flat(stored), _flat(facts)
+    for entry in stored.get("resumed", []):
         old |= {name: after for name, (_, after) in entry["changes"].items()}
     pairs = {name: (old.get(name, "absent"), new.get(name, "absent")) for name in sorted(old | new)}
     changes = {name: pair for name, pair in pairs.items() if pair[0] != pair[1]}
     resumed = {name: facts[name] for name in _CIRCUMSTANCES} | {"changes": changes}
-    write_json(folder.provenance, known | {"resumed": [*known.get("resumed", []), resumed]})
+    write_json(folder.provenance, stored | {"resumed": [*stored.get("resumed", []), resumed]})
     return [f"{name}: {before} -> {after}" for name, (before, after) in changes.items()]
 
 
-def made_with(known: Mapping[str, Any] | None) -> dict[str, str]:
+def made_with(stored: Mapping[str, Any] | None) -> dict[str, str]:
     """The compared facts of a run by dotted name, as its file has them; `a, then b` where a later attempt differed."""
-    if known is None:
+    if stored is None:
         return {}
-    facts = {name: f"unknown, then {value}" if known.get("lost") else value for name, value in _flat(known).items()}
-    for entry in known.get("resumed", []):
+    facts = {name: f"unknown, then {value}" if stored.get("lost") else value for name, value in _flat(stored).items()}
+    for entry in stored.get("resumed", []):
         for name, (before, after) in entry["changes"].items():
             facts[name] = f"{facts.get(name, before)}, then {after}"
     return facts

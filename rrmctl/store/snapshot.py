@@ -72,8 +72,8 @@ class Run:
     @property
     def started(self) -> float | None:
         """When its first attempt began, seconds since the epoch; None where that is not recorded."""
-        told = (self.provenance or {}).get("started")
-        return None if told is None else datetime.datetime.fromisoformat(told).timestamp()
+        started = (self.provenance or {}).get("started")
+        return None if started is None else datetime.datetime.fromisoformat(started).timestamp()
 
     def facts(self) -> dict[str, Any]:
         """The columns `FACTS`; None where nothing is known."""

@@ -75,9 +75,9 @@ class SweepRecord:
     @property
     def merely_needed(self) -> tuple[Job, ...]:
         """Runs that jobs need and that are no jobs themselves."""
-        known = {job.id: job for job in (*self.superseded, *self.needed)}
-        wanted = required(self.jobs, known.values()) - {job.id for job in self.jobs}
-        return tuple(job for run, job in known.items() if run in wanted)
+        others = {job.id: job for job in (*self.superseded, *self.needed)}
+        wanted = required(self.jobs, others.values()) - {job.id for job in self.jobs}
+        return tuple(job for run, job in others.items() if run in wanted)
 
     def union(self, other: SweepRecord) -> SweepRecord:
         """With the jobs of another record of the same variant, asked for later, in order of first appearance."""
@@ -104,9 +104,9 @@ def _told_apart(named: Sequence[Job]) -> tuple[tuple[Job, ...], tuple[Job, ...]]
     return tuple(latest.values()), tuple(dict.fromkeys(job for job in named if latest[job.place].id != job.id))
 
 
-def required(jobs: Iterable[Job], known: Iterable[Job]) -> set[str]:
-    """Ids of the runs that jobs need, and that those need, as far as they are known."""
-    requires = {job.id: job.requires for job in known}
+def required(jobs: Iterable[Job], among: Iterable[Job]) -> set[str]:
+    """Ids of the runs that jobs need, and that those need, as far as they are among."""
+    requires = {job.id: job.requires for job in among}
     left, needed = [run for job in jobs for run in job.requires], set[str]()
     while left:
         run = left.pop()
@@ -157,21 +157,21 @@ def readable_sweeps(layout: Layout, experiment: str | None = None) -> tuple[list
 
 def read_sweep(path: Path) -> SweepRecord | None:
     """The record in this file; None where there is none."""
-    made = f"the `rrmctl run {path.parent.name} ...` that made it"
-    hint = f"{made} sets it aside, makes it again and trains nothing twice"
+    command = f"the `rrmctl run {path.parent.name} ...` that made it"
+    hint = f"{command} sets it aside, makes it again and trains nothing twice"
     sweep = read_record(SweepRecord, path, hint, "needed priors superseded")
     if sweep is None:
         return None
     if (sweep.experiment, sweep.variant) != (path.parent.name, path.stem):  # files are named after what they say
-        told = f"it is the record of {sweep.experiment!r} ({sweep.variant!r})"
-        raise DamagedError(f"{path} is damaged: {told}", hint)
+        problem = f"it is the record of {sweep.experiment!r} ({sweep.variant!r})"
+        raise DamagedError(f"{path} is damaged: {problem}", hint)
     try:
         graphlib.TopologicalSorter(
             {job.id: job.requires for job in (*sweep.jobs, *sweep.needed) if job.requires}
         ).prepare()
     except graphlib.CycleError as error:
-        told = f"runs need each other in a circle: {', '.join(error.args[1])}"
-        raise DamagedError(f"{path} is damaged: {told}", hint) from None
+        problem = f"runs need each other in a circle: {', '.join(error.args[1])}"
+        raise DamagedError(f"{path} is damaged: {problem}", hint) from None
     jobs, superseded = _told_apart(sweep.jobs)
     return dataclasses.replace(sweep, jobs=jobs, superseded=superseded)
 
@@ -192,8 +192,8 @@ def record_sweep(layout: Layout, asked: SweepRecord) -> SweepRecord:
     path = layout.sweep(asked.experiment, asked.variant)
     with locked(layout.sweep_lock(asked.experiment)):
         remove_leftovers(path.parent)
-        known = read_sweep(path)
-        union = (known or asked).union(asked)
-        if union != known:
+        recorded = read_sweep(path)
+        union = (recorded or asked).union(asked)
+        if union != recorded:
             write_sweep(path, union)
     return union

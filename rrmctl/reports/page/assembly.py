@@ -48,15 +48,16 @@ def build(
         UserError: the store holds no run of an experiment or profile that is named, or none at all; a file is damaged.
     """
     names = chosen_experiments(open_results(results), experiments)
-    found = [variant for name in names for variant in _variants(Snapshot(results, name), name, allow_mixed=allow_mixed)]
-    check_profile(profile, (str(variant.runs[0].plan["profile"]) for variant in found))
-    variants = [variant for variant in found if profile in (None, variant.runs[0].plan["profile"])]
-    sections = [each.section for each in variants if isinstance(each.section, Section) and each.section.contained]
+    variants = [one for name in names for one in _variants(Snapshot(results, name), name, allow_mixed=allow_mixed)]
+    check_profile(profile, (str(variant.runs[0].plan["profile"]) for variant in variants))
+    variants = [variant for variant in variants if profile in (None, variant.runs[0].plan["profile"])]
+    shown = (variant.section for variant in variants)
+    sections = [section for section in shown if isinstance(section, Section) and section.contained]
     gathered = gather(sections, settings)
     rules = [Part(title=title, rules=sentences) for title, sentences in explained().items()]
     parts = [
         _overview(variants),
-        *(chapter(each, gathered, settings) for each in variants),
+        *(chapter(variant, gathered, settings) for variant in variants),
         replace(tables_at(SEVERAL, "common", gathered), title="Across experiments"),
         Part(id="explained", title="How to read the tables", parts=rules, folded=True),
     ]
@@ -86,9 +87,9 @@ def _overview(variants: Sequence[Variant]) -> Part:
         named = {"experiment": variant.experiment, "link": variant.id, "variant": variant.name, "failed": failed}
         rows.append(named | total(variant.everything))
     whole = total(run for variant in variants for run in variant.everything)
-    told = f"{whole['done']} of {whole['runs']} planned runs are done."
+    words = f"{whole['done']} of {whole['runs']} planned runs are done."
     table = Table("What this page holds, runs that others need included", shown, rows)
-    return Part(id="overview", title="Overview", paragraphs=[told], tables=[table])
+    return Part(id="overview", title="Overview", paragraphs=[words], tables=[table])
 
 
 def _command(

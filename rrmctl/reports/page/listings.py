@@ -59,13 +59,13 @@ def parts(name: str, runs: Sequence[Run], needed: Sequence[Run]) -> Iterator[Par
     last = dict.fromkeys(GROUP, "") | {"task": "all"} | total(everything)
     spent = Table("What was spent", shown, spending(everything).to_dict("records"), last)
     common = _of_texts("Settings of all runs, values as JSON", common_settings(runs))
-    made = _of_texts("What runs were started with", makings(everything))
-    told = "Training time as the runs recorded it, on the machines below, while others ran beside them or not."
+    versions = _of_texts("What runs were started with", makings(everything))
+    words = "Training time as the runs recorded it, on the machines below, while others ran beside them or not."
     lists = [
-        Part(id="spent", title="Steps, feedback and time", paragraphs=[told], tables=[spent]),
+        Part(id="spent", title="Steps, feedback and time", paragraphs=[words], tables=[spent]),
         Part(id="runs", title="Runs", tables=[_runs("Planned runs", runs), _runs("Runs that these need", needed)]),
         Part(id="settings", title="Settings", tables=[_differing(runs), common]),
-        Part(id="versions", title="Machines and versions", tables=[made]),
+        Part(id="versions", title="Machines and versions", tables=[versions]),
         _commands(runs),
     ]
     return (replace(part, id=f"{name}-{part.id}", folded=True) for part in lists)
@@ -73,11 +73,11 @@ def parts(name: str, runs: Sequence[Run], needed: Sequence[Run]) -> Iterator[Par
 
 def failures(runs: Sequence[Run]) -> list[tuple[str, str]]:
     """Reasons, the most frequent first, with the runs they stopped."""
-    found: dict[str, list[str]] = {}
+    reasons: dict[str, list[str]] = {}
     for run in {run.id: run for run in runs}.values():
         if run.plan["state"] in TROUBLE:
-            found.setdefault(run.plan["error"] or "no reason was recorded", []).append(f"{run.label} ({run.id})")
-    return [(why, "; ".join(stopped)) for why, stopped in sorted(found.items(), key=lambda item: -len(item[1]))]
+            reasons.setdefault(run.plan["error"] or "no reason was recorded", []).append(f"{run.label} ({run.id})")
+    return [(why, "; ".join(stopped)) for why, stopped in sorted(reasons.items(), key=lambda item: -len(item[1]))]
 
 
 def _runs(which: str, runs: Sequence[Run]) -> Table:
@@ -114,10 +114,10 @@ def _of_texts(caption: str, table: pd.DataFrame) -> Table:
 def _commands(runs: Sequence[Run]) -> Part:
     """The commands that the runs were asked for with; those that ask for all of the plan where none is recorded."""
     asked = [shlex.join(run.provenance["argv"]) for run in runs if run.provenance and run.provenance.get("argv")]
-    told = "As they were typed; given again, each trains what is missing."
+    words = "As they were typed; given again, each trains what is missing."
     if not asked:
-        plan, told = runs[0].plan, "These train what is missing."
+        plan, words = runs[0].plan, "These train what is missing."
         wanted = [(run.plan["task"], run.plan["method"], run.plan["seed"]) for run in runs]
         asked = run_commands(plan["experiment"], plan["profile"], json.loads(plan["overrides"]), wanted)
     commands = "\n".join(dict.fromkeys(asked))
-    return Part(id="again", title="How to reproduce it", paragraphs=[told], commands=commands)
+    return Part(id="again", title="How to reproduce it", paragraphs=[words], commands=commands)
