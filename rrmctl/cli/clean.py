@@ -25,13 +25,13 @@ def clean(
     its sweep's record was removed. Runs under way stay.
     """
     from rrmctl.store.layout import open_results
-    from rrmctl.store.unused import remove, unused
+    from rrmctl.store.sweeps import remove_unused, unused_runs
 
     layout = open_results(results)
-    found = {run: _size(layout.run(run).path) for run in unused(layout)}
+    found = {run: _size(layout.run(run).path) for run in unused_runs(layout)}
     for run, size in found.items():
         typer.echo(f"{run}  {size / 1e6:8.1f} MB  {_described(layout.run(run))}")
-    gone = remove(layout, found) if yes else []
+    gone = remove_unused(layout, found) if yes else []
     for run in set(found) - set(gone) if yes else ():
         typer.echo(f"{run} is in use and stays")
     told = f"{runs(len(gone))}, {sum(found[run] for run in gone) / 1e6:.1f} MB: removed."
