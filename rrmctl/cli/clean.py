@@ -24,14 +24,14 @@ def clean(
     A run is left over when settings, a file of yours or the program changed and the experiment was run again, or when
     its sweep's record was removed. Runs under way stay.
     """
-    from rrmctl.store.reader import open_results
-    from rrmctl.store.unused import remove, unused
+    from rrmctl.store.layout import open_results
+    from rrmctl.store.sweeps import remove_unused, unused_runs
 
     layout = open_results(results)
-    found = {run: _size(layout.run(run).path) for run in unused(layout)}
+    found = {run: _size(layout.run(run).path) for run in unused_runs(layout)}
     for run, size in found.items():
         typer.echo(f"{run}  {size / 1e6:8.1f} MB  {_described(layout.run(run))}")
-    gone = remove(layout, found) if yes else []
+    gone = remove_unused(layout, found) if yes else []
     for run in set(found) - set(gone) if yes else ():
         typer.echo(f"{run} is in use and stays")
     told = f"{runs(len(gone))}, {sum(found[run] for run in gone) / 1e6:.1f} MB: removed."
@@ -42,7 +42,8 @@ def clean(
 def _described(folder: RunFolder) -> str:
     """What its configuration says it is, and where it stands."""
     from rrmctl.errors import UserError
-    from rrmctl.store.reader import read_config, run_status
+    from rrmctl.store.provenance import read_config
+    from rrmctl.store.status import run_status
 
     try:
         config = read_config(folder)

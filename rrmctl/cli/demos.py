@@ -42,17 +42,17 @@ def collect(
 
       rrmctl run main-results --methods rrm-imitation --set imitation.demos=mine.safetensors
     """
-    from rrmctl.running import demos
+    from rrmctl.running import experts
     from rrmctl.store.files import storage_error
-    from rrmctl.store.reader import find_run, open_results
+    from rrmctl.store.layout import find_run, open_results
 
     if (run is None) == (scripted is None):
         raise UserError("whose demonstrations?", "name a finished run with --run, or a task with --scripted")
     if scripted is not None:
-        played = demos.of_script(scripted, episodes, seed, least_success)
+        played = experts.play_script(scripted, episodes, seed, least_success)
     else:
         assert run is not None
-        played = demos.of_run(find_run(open_results(results), run), episodes, seed, least_success)
+        played = experts.play_run(find_run(open_results(results), run), episodes, seed, least_success)
     try:
         played.save(out)
     except OSError as error:
@@ -63,6 +63,6 @@ def collect(
 @demos_app.command()
 def show(file: Annotated[Path, typer.Argument(parser=place, metavar="FILE", help="A file of demonstrations.")]) -> None:
     """Show where demonstrations come from, how many there are and how good they are, as JSON."""
-    from rrmctl.running import demos
+    from rrmctl.running import experts
 
-    typer.echo(json.dumps(demos.read(file), indent=1))
+    typer.echo(json.dumps(experts.summary(file), indent=1))

@@ -7,11 +7,10 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from rrmctl.cli.request import duration
-from rrmctl.running.scheduler import Ending, Outcome, Stage
-from rrmctl.running.supervisor import Assignment
+from rrmctl.running.scheduler import Outcome, Stage
 from rrmctl.store.layout import Layout
-from rrmctl.store.reader import log_tail
-from rrmctl.store.status import ErrorKind
+from rrmctl.store.status import ErrorKind, log_tail
+from rrmctl.store.sweeps import Job
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -27,15 +26,15 @@ class Lines:
     Args:
         console: where to; usually standard error.
         layout: where the logs are.
-        assignments: the jobs of this command.
+        jobs: of this command.
     """
 
-    def __init__(self, console: Console, layout: Layout, assignments: Sequence[Assignment]) -> None:
+    def __init__(self, console: Console, layout: Layout, jobs: Sequence[Job]) -> None:
         self.console = console
         self.over = 0  #: jobs done or failed
-        self.total = len(assignments)
+        self.total = len(jobs)
         self._layout = layout
-        self._jobs = {assignment.id: assignment for assignment in assignments}
+        self._jobs = {job.id: job for job in jobs}
         self._said: dict[str, float] = {}
 
     def started(self, job: str, attempt: int) -> None:
@@ -57,17 +56,17 @@ class Lines:
             self.over += 1
         error, folder = outcome.error, self._layout.run(job)
         match outcome.ending:
-            case Ending.DONE:
+            case Stage.DONE:
                 self.say(job, f"done ({self.over} of {self.total})", style="green")
-            case Ending.STOPPED:
+            case Stage.STOPPED:
                 self.say(job, "stopped; it goes on from its checkpoint", style="yellow")
-            case Ending.ELSEWHERE:
+            case Stage.ELSEWHERE:
                 self.say(job, "is run by another process", style="dim")
-            case Ending.BLOCKED:
+            case Stage.BLOCKED:
                 self.say(job, f"not run: {error}", style="red")
-            case Ending.FAILED if error and error.kind is ErrorKind.WAITING:
+            case Stage.FAILED if error and error.kind is ErrorKind.WAITING:
                 self.say(job, f"waits for {error}", style="yellow")
-            case Ending.FAILED:
+            case Stage.FAILED:
                 after = {Stage.WAITING: "will be tried again", Stage.FAILED: "failed"}.get(phase, "stopped")
                 self.say(job, f"{after}: {error}", style="red")
                 if error and error.kind not in (ErrorKind.REFUSED, ErrorKind.STORAGE, ErrorKind.MISSING):
@@ -96,10 +95,10 @@ class Lines:
 class Bars(Lines):
     """Lines, and below them a bar for each running job and one for all."""
 
-    def __init__(self, console: Console, layout: Layout, assignments: Sequence[Assignment]) -> None:
+    def __init__(self, console: Console, layout: Layout, jobs: Sequence[Job]) -> None:
         from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn
 
-        super().__init__(console, layout, assignments)
+        super().__init__(console, layout, jobs)
         self.progress = Progress(
             TextColumn("{task.description}", markup=False),
             BarColumn(),
@@ -119,8 +118,8 @@ class Bars(Lines):
     def started(self, job: str, attempt: int) -> None:
         if attempt > 1:
             super().started(job, attempt)
-        assignment = self._jobs[job]
-        self._bars[job] = self.progress.add_task(assignment.label, total=assignment.steps, rate="", score="", left="")
+        label, steps = self._jobs[job].label, self._jobs[job].steps
+        self._bars[job] = self.progress.add_task(label, total=steps, rate="", score="", left="")
 
     def beat(self, job: str, step: int, steps_per_s: float | None) -> None:
         if steps_per_s:

@@ -25,7 +25,8 @@ from rrmctl.terminal import stdout_console
 
 if TYPE_CHECKING:
     from rrmctl.planning.manifest import Manifest
-    from rrmctl.planning.plan import Job, Plan
+    from rrmctl.planning.plan import Plan
+    from rrmctl.store.sweeps import Job
 
 JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON for programs instead of a table.")]
 
@@ -103,7 +104,7 @@ def plan(
     """
     from rrmctl.hardware import usable_cores
     from rrmctl.planning.warnings import notes
-    from rrmctl.store.reader import new_results
+    from rrmctl.store.layout import new_results
 
     request = Request(name, experiments, profile, seeds, tasks, methods, overrides, prior)
     layout = new_results(results)
@@ -146,7 +147,7 @@ def _table(expected: Forecast, *, each: bool) -> Any:
     for job in expected.plan.everything:
         groups.setdefault(job.row, []).append(job)
     for names, jobs in groups.items():
-        common = (*names, f"{jobs[0].config.steps:,}")
+        common = (*names, f"{jobs[0].steps:,}")
         states = [str(expected.states[job.id].state) for job in jobs]
         costs = [duration(expected.cost.seconds[job.id] / 3600) for job in jobs]
         if not each:
@@ -169,8 +170,8 @@ def _as_json(expected: Forecast) -> dict[str, Any]:
 
 def _job_as_json(expected: Forecast, job: Job) -> dict[str, Any]:
     return {
-        "id": job.id, "cell": job.config.cell, **job.row._asdict(), "seed": job.seed, "steps": job.config.steps,
-        "requires": list(job.config.requires),
+        "id": job.id, "cell": job.cell, **job.row._asdict(), "seed": job.seed, "steps": job.steps,
+        "requires": list(job.requires),
         "state": str(expected.states[job.id].state), "core_seconds": expected.cost.seconds[job.id],
     }  # fmt: skip
 

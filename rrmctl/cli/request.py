@@ -12,10 +12,9 @@ from rrmctl.errors import UserError
 
 if TYPE_CHECKING:
     from rrmctl.planning.cost import CostEstimate
-    from rrmctl.planning.plan import Job, Plan
+    from rrmctl.planning.plan import Plan
     from rrmctl.store.layout import Layout
     from rrmctl.store.status import Status
-    from rrmctl.store.sweeps import JobRecord
 
 
 @dataclass(frozen=True)
@@ -84,21 +83,11 @@ def forecast(plan: Plan, layout: Layout) -> Forecast:
         UserError: a sweep record is damaged.
     """
     from rrmctl.planning.cost import estimate_cost
-    from rrmctl.store.reader import statuses
     from rrmctl.store.speeds import stored_speeds
+    from rrmctl.store.status import statuses
 
     states = statuses(layout, plan.everything)
     return Forecast(plan, states, estimate_cost(plan, stored_speeds(layout, states)))
-
-
-def job_record(job: Job) -> JobRecord:
-    """A job as the store records it."""
-    from rrmctl.store.sweeps import JobRecord
-
-    return JobRecord(
-        id=job.id, cell=job.config.cell, **job.row._asdict(), seed=job.seed, steps=job.config.steps,
-        requires=job.requires,
-    )  # fmt: skip
 
 
 def in_words(forecast: Forecast, cores: int) -> str:

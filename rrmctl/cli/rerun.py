@@ -13,10 +13,10 @@ from rrmctl.errors import UserError
 if TYPE_CHECKING:
     from rrmctl.store.layout import Layout
     from rrmctl.store.status import Status
-    from rrmctl.store.sweeps import JobRecord, SweepRecord
+    from rrmctl.store.sweeps import Job, SweepRecord
 
 
-def rerun_command(layout: Layout, sweep: SweepRecord, job: JobRecord) -> str:
+def rerun_command(layout: Layout, sweep: SweepRecord, job: Job) -> str:
     """The command that trains this run again, and no other."""
     same = [each for each in sweep.jobs if (each.task, each.method, each.seed) == (job.task, job.method, job.seed)]
     (command,) = _commands(layout, sweep, [job], ["--force"] if len(same) == 1 else [])
@@ -24,7 +24,7 @@ def rerun_command(layout: Layout, sweep: SweepRecord, job: JobRecord) -> str:
     return command if len(same) == 1 else f"rm -r {shlex.quote(str(layout.run(job.id).path))} && {command}"
 
 
-def unconfigured(layout: Layout, jobs: Iterable[JobRecord]) -> set[str]:
+def unconfigured(layout: Layout, jobs: Iterable[Job]) -> set[str]:
     """Of these runs those whose configuration is gone, and those that need them: nothing but `run` makes them."""
     left = {job.id: job for job in jobs}
     gone = {run for run in left if not layout.run(run).config.exists()}
@@ -45,7 +45,7 @@ def remaking_commands(
     return commands
 
 
-def _commands(layout: Layout, sweep: SweepRecord, jobs: Sequence[JobRecord], options: Sequence[str]) -> list[str]:
+def _commands(layout: Layout, sweep: SweepRecord, jobs: Sequence[Job], options: Sequence[str]) -> list[str]:
     from rrmctl.store.provenance import asked_by
 
     asked = [asked_by(layout.run(job.id)) for job in sweep.jobs]

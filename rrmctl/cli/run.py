@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import contextlib
 import sys
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping
+from dataclasses import fields
 from functools import partial
 from typing import TYPE_CHECKING, Annotated
 
@@ -33,7 +34,7 @@ from rrmctl.cli.options import (
     WorkersOption,
 )
 from rrmctl.cli.progress import runs
-from rrmctl.cli.request import Request, forecast, job_record
+from rrmctl.cli.request import Request, forecast
 from rrmctl.cli.rerun import remaking_commands, unconfigured
 from rrmctl.cli.screen import drain, unfailing
 from rrmctl.cli.status import note_damage
@@ -47,11 +48,11 @@ from rrmctl.terminal import console
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from rrmctl.planning.plan import Job, Plan
-    from rrmctl.running.supervisor import Assignment
+    from rrmctl.planning.plan import Plan
+    from rrmctl.running.supervisor import Terms
     from rrmctl.store.layout import Layout
     from rrmctl.store.status import Status
-    from rrmctl.store.sweeps import JobRecord, SweepRecord
+    from rrmctl.store.sweeps import Job, SweepRecord
 
 
 @resumable
@@ -100,7 +101,9 @@ def run(
       rrmctl run toy-car --until-decided --max-seeds 20 --against pebble
     """
     from rrmctl.cli.until_decided import asked_rules, until_decided
-    from rrmctl.store.reader import new_results, statuses
+    from rrmctl.running.supervisor import Terms
+    from rrmctl.store.layout import new_results
+    from rrmctl.store.status import statuses
     from rrmctl.store.sweeps import readable_sweeps
 
     screen = console(unfailing(sys.stderr))
@@ -110,7 +113,7 @@ def run(
     layout = new_results(results)
     plan = request.plan()
     note_damage(readable_sweeps(layout)[1])
-    slots = workers or _default_slots(job.config.threads for job in plan.everything)
+    slots = workers or _default_slots(config.threads for config in plan.configs.values())
     expected = forecast(plan, layout)
     introduce(screen, request, from_nothing(expected) if force else expected, slots)
     if rules:
@@ -122,11 +125,11 @@ def run(
 
     def execute(part: Plan) -> tuple[Exit, SweepRecord]:
         sweep, states = _record(screen, layout, part), statuses(layout, part.everything)
-        assigned = [
-            _assignment(job_record(job), states[job.id], job.config.threads, fresh=job.id in anew)
+        assigned = {
+            job: Terms(threads=part.configs[job.id].threads, attempt=states[job.id].attempt, fresh=job.id in anew)
             for job in part.everything
             if wanted(job, states[job.id])
-        ]
+        }
         return _run(screen, layout, assigned, slots, memory, hang_after), sweep
 
     drain(screen.file)
@@ -156,8 +159,10 @@ def resume(
 
     The configurations recorded then are run, whatever the manifests say today.
     """
-    from rrmctl.store.reader import find_sweeps, open_results, statuses
-    from rrmctl.store.sweeps import readable_sweeps
+    from rrmctl.running.supervisor import Terms
+    from rrmctl.store.layout import open_results
+    from rrmctl.store.status import statuses
+    from rrmctl.store.sweeps import find_sweeps, readable_sweeps
 
     screen = console(unfailing(sys.stderr))
     layout = open_results(results)
@@ -176,11 +181,13 @@ def resume(
     gone = unconfigured(layout, chosen)
     for command in remaking_commands(layout, sweeps, gone, states):
         screen.print(f"configurations are missing; this makes them, and the runs: {command}", soft_wrap=True)
-    assigned = [
-        _assignment(job, states[job.id], _threads(layout, job), fresh=False) for job in chosen if job.id not in gone
-    ]
+    assigned = {
+        job: Terms(threads=_threads(layout, job), attempt=states[job.id].attempt)
+        for job in chosen
+        if job.id not in gone
+    }
     require_trust(results, _code(layout, chosen), trust=trust, asks=_asks())
-    slots = workers or _default_slots(job.threads for job in assigned)
+    slots = workers or _default_slots(terms.threads for terms in assigned.values())
     code = _run(screen, layout, assigned, slots, memory, hang_after)
     drain(screen.file)
     finish(layout, code, sweeps, damaged=bool(damage or gone))
@@ -205,44 +212,32 @@ def _record(console: Console, layout: Layout, plan: Plan) -> SweepRecord:
     path = layout.sweep(plan.experiment, plan.variant)
     damage = set_damaged_aside(layout, path)  # one of another version is refused before anything is written
     known = read_sweep(path)
-    asked = SweepRecord(
-        experiment=plan.experiment, variant=plan.variant, profile=plan.profile, overrides=plan.overrides,
-        jobs=tuple(map(job_record, plan.jobs)), needed=tuple(map(job_record, plan.needed)), priors=plan.priors,
-    )  # fmt: skip
-    notes = [damage, *_configure(layout, plan.everything)]
+    asked = SweepRecord(**{field.name: getattr(plan, field.name) for field in fields(SweepRecord)})
+    notes = [damage, *_configure(layout, plan, plan.everything)]
     late = set(record_sweep(layout, asked).superseded) - set(known.superseded if known else ())
     if late:
         told = f"{runs(len(late))} of other settings, files or versions gave way to what is asked for now"
         notes.append(f"{told}; `rrmctl clean` lists what nothing asks for any more")
     # Until the record named them, a `clean` may have removed some.
-    notes += _configure(layout, (job for job in plan.everything if not layout.run(job.id).config.exists()))
+    notes += _configure(layout, plan, (job for job in plan.everything if not layout.run(job.id).config.exists()))
     for note in filter(None, notes):
         console.print(f"note: {note}", soft_wrap=True)
     return asked
 
 
-def _configure(layout: Layout, jobs: Iterable[Job]) -> list[str | None]:
+def _configure(layout: Layout, plan: Plan, jobs: Iterable[Job]) -> list[str | None]:
     from rrmctl.running.config_file import code_files, config_content
-    from rrmctl.store.status import record_config
+    from rrmctl.store.provenance import record_config
 
-    contents = {job.id: config_content(job.config) for job in jobs}
+    contents = {job.id: config_content(plan.configs[job.id]) for job in jobs}
     remember(digest for content in contents.values() for digest in code_files(content).values())
     return [record_config(layout.run(run), content) for run, content in contents.items()]
 
 
-def _assignment(job: JobRecord, status: Status, threads: int, *, fresh: bool) -> Assignment:
-    from rrmctl.running.supervisor import Assignment
-
-    return Assignment(
-        id=job.id, label=job.label, steps=job.steps, threads=threads, attempt=status.attempt, fresh=fresh,
-        requires=job.requires,
-    )  # fmt: skip
-
-
-def _code(layout: Layout, jobs: Iterable[JobRecord]) -> dict[str, str]:
+def _code(layout: Layout, jobs: Iterable[Job]) -> dict[str, str]:
     """Digests of the code of users that these runs name, by path."""
     from rrmctl.running.config_file import code_files
-    from rrmctl.store.reader import read_config
+    from rrmctl.store.provenance import read_config
 
     found: dict[str, str] = {}
     for job in jobs:
@@ -251,8 +246,8 @@ def _code(layout: Layout, jobs: Iterable[JobRecord]) -> dict[str, str]:
     return found
 
 
-def _threads(layout: Layout, job: JobRecord) -> int:
-    from rrmctl.store.reader import read_config
+def _threads(layout: Layout, job: Job) -> int:
+    from rrmctl.store.provenance import read_config
 
     try:
         return int(read_config(layout.run(job.id))["threads"])
@@ -263,7 +258,7 @@ def _threads(layout: Layout, job: JobRecord) -> int:
 def _run(
     console: Console,
     layout: Layout,
-    assigned: Sequence[Assignment],
+    assigned: Mapping[Job, Terms],
     slots: int,
     memory_gib: float | None,
     hang_after_min: float,
@@ -280,12 +275,14 @@ def _run(
         memory_limit=None if memory_gib is None else int(memory_gib * 2**30),
         hang_after_s=hang_after_min * 60.0,
     )
+    jobs, terms = list(assigned), {job.id: terms for job, terms in assigned.items()}
     pool = partial(
-        Supervisor, layout=layout, assignments=assigned, slots=slots, executor=executor, asked=["rrmctl", *sys.argv[1:]]
+        Supervisor, layout=layout, jobs=jobs, terms=terms, slots=slots, executor=executor,
+        asked=["rrmctl", *sys.argv[1:]],
     )  # fmt: skip
     if not sys.stderr.isatty() or console.is_dumb_terminal:
-        return pool(watcher=Lines(console, layout, assigned)).run()
-    bars = Bars(console, layout, assigned)
+        return pool(watcher=Lines(console, layout, jobs)).run()
+    bars = Bars(console, layout, jobs)
     with bars.progress:
         return pool(watcher=bars).run()
 

@@ -7,7 +7,7 @@ import socket
 import sys
 import time
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -23,9 +23,7 @@ from rrmctl.terminal import stdout_console
 if TYPE_CHECKING:
     from rich.console import RenderableType
 
-    from rrmctl.store.layout import Layout
-    from rrmctl.store.status import Status
-    from rrmctl.store.sweeps import SweepRecord
+    from rrmctl.store.snapshot import Snapshot
 
 #: Time between two looks of `status --watch`, seconds.
 _WATCH_S = 2.0
@@ -54,19 +52,13 @@ def status(
 
     A run is "interrupted" when its process stopped or died before its end; `rrmctl resume` goes on with it.
     """
-    from rrmctl.store.reader import find_sweeps, open_results, statuses
-    from rrmctl.store.sweeps import readable_sweeps
-
-    layout = open_results(results)
-    if name is None:
-        note_damage(readable_sweeps(layout)[1])
+    from rrmctl.store.snapshot import Snapshot
 
     def look() -> _View:
-        sweeps = readable_sweeps(layout)[0] if name is None else find_sweeps(layout, name)
-        states = statuses(layout, (job for sweep in sweeps for job in sweep.everything))
-        return _View(layout, sweeps, states, detailed=name is not None, failed=failed)
+        return _View(Snapshot(results, name, lenient=True), detailed=name is not None, failed=failed)
 
     view = look()
+    note_damage(view.damage)
     if not watch:
         typer.echo(json.dumps(view.as_json())) if as_json else stdout_console().print(view.table())
         return
@@ -106,19 +98,11 @@ class _View:
         failed: the failures instead.
     """
 
-    def __init__(
-        self,
-        layout: Layout,
-        sweeps: Sequence[SweepRecord],
-        states: Mapping[str, Status],
-        *,
-        detailed: bool,
-        failed: bool,
-    ) -> None:
-        self._layout = layout
-        self._sweeps = sweeps
-        self._states = states
+    def __init__(self, store: Snapshot, *, detailed: bool, failed: bool) -> None:
+        self._layout, self._sweeps, self._states = store.layout, store.sweeps, store.states
+        self.damage = store.damage
         self._failed = failed
+        sweeps, states = store.sweeps, store.states
         self.groups = group_by_row(sweeps, states) if detailed else group_by_sweep(sweeps, states)
         jobs = {job.id: job for sweep in sweeps for job in sweep.everything}
         self.total = Group("all", list(jobs.values()), states)

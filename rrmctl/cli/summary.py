@@ -16,7 +16,7 @@ from rrmctl.errors import Exit, UserError, room_error
 
 if TYPE_CHECKING:
     from rrmctl.store.layout import Layout
-    from rrmctl.store.sweeps import JobRecord, SweepRecord
+    from rrmctl.store.sweeps import Job, SweepRecord
 
 
 def finish(
@@ -32,7 +32,7 @@ def finish(
         damaged: a sweep the command was about could not be read, so that nobody knows whether all is done.
         closing: of the manifest, said where all is done.
     """
-    from rrmctl.store.reader import statuses
+    from rrmctl.store.status import statuses
 
     names = list(dict.fromkeys(sweep.experiment for sweep in sweeps))
     states = statuses(layout, (job for sweep in sweeps for job in sweep.everything))
@@ -84,9 +84,10 @@ def _advise(layout: Layout, code: Exit, names: Sequence[str], *, failed: bool) -
 
 def _lost(layout: Layout, sweeps: Iterable[SweepRecord]) -> Iterator[tuple[str, str]]:
     """The experiment, and a line for each run that is done and whose curve is not all there."""
-    from rrmctl.store.reader import lost_rows, run_status
+    from rrmctl.store.curve import lost_rows
+    from rrmctl.store.status import run_status
 
-    jobs: dict[str, tuple[SweepRecord, JobRecord]] = {job.id: (sweep, job) for sweep in sweeps for job in sweep.jobs}
+    jobs: dict[str, tuple[SweepRecord, Job]] = {job.id: (sweep, job) for sweep in sweeps for job in sweep.jobs}
 
     def look(run: str) -> str | None:
         folder = layout.run(run)

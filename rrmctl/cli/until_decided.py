@@ -66,7 +66,7 @@ def until_decided(
     """
     from rrmctl.reports.pairwise import against
     from rrmctl.stats import Design
-    from rrmctl.store.reader import statuses
+    from rrmctl.store.status import statuses
     from rrmctl.store.trials import Trial, begin_trial
 
     pairs = tuple(against((job.row for job in plan.jobs), rules.against))

@@ -99,12 +99,12 @@ def estimate_cost(plan: Plan, rates: Rates, gemm: float | None = None) -> CostEs
     for job in plan.everything:
         rate = rates.get((job.task, job.method, plan.variant))
         if rate is not None:
-            seconds[job.id] = _START_S + job.config.steps / rate
+            seconds[job.id] = _START_S + job.steps / rate
             measured.add(job.id)
             continue
         if job.row not in modelled:  # seeds cost the same
             gemm = measure_gemm() if gemm is None else gemm
-            modelled[job.row] = model_seconds(job.config, gemm)
+            modelled[job.row] = model_seconds(plan.configs[job.id], gemm)
         seconds[job.id] = modelled[job.row]
     return CostEstimate(seconds, frozenset(measured))
 

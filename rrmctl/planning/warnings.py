@@ -21,7 +21,7 @@ def _unasked(plan: Plan) -> list[str]:
     short: dict[str, dict[str, None]] = defaultdict(dict)
     cells = {job.row: job for job in plan.jobs}  # every seed asks the same
     for job in cells.values():
-        config = job.config
+        config = plan.configs[job.id]
         if config.kind != "train" or config.feedback is None:
             continue
         budget, queries = config.feedback.budget, config.queries()
@@ -32,5 +32,5 @@ def _unasked(plan: Plan) -> list[str]:
 
 
 def _threads(plan: Plan, cores: int) -> list[str]:
-    most = max((job.config.threads for job in plan.jobs), default=1)
+    most = max((plan.configs[job.id].threads for job in plan.jobs), default=1)
     return [f"threads: {most} for each run, on {cores} core{'s' if cores > 1 else ''}"] if most > cores else []

@@ -5,34 +5,34 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass
 from typing import NamedTuple
 
+from pydantic import StrictFloat, StrictInt, StrictStr
+
 from rrmctl.errors import UserError
-from rrmctl.store import validation
-from rrmctl.store.files import DamagedError, locked, read_json, remove_leftovers, write_json
+from rrmctl.store.files import remove_leftovers
 from rrmctl.store.layout import Layout
+from rrmctl.store.locks import locked
+from rrmctl.store.records import read_record, write_json
 from rrmctl.store.schema import SCHEMA_VERSION
 
 
 class Pairing(NamedTuple):
     """Two methods that are compared, and where."""
 
-    task: str
-    teacher: str
-    feedback: str
-    method: str
-    against: str
+    task: StrictStr
+    teacher: StrictStr
+    feedback: StrictStr
+    method: StrictStr
+    against: StrictStr
 
 
 @dataclass(frozen=True, kw_only=True)
 class Trial:
     """The rules of one sequential test."""
 
-    group: int  #: seeds of each method between two looks
-    looks: int  #: at most
-    alpha: float  #: probability of any wrong decision
+    group: StrictInt  #: seeds of each method between two looks
+    looks: StrictInt  #: at most
+    alpha: StrictFloat  #: probability of any wrong decision
     pairs: tuple[Pairing, ...]  #: the comparisons that share it
-
-
-_TRIAL = {**dict.fromkeys(("group", "looks"), validation.WHOLE), "pairs": validation.LIST}
 
 
 def read_trial(layout: Layout, experiment: str, variant: str) -> Trial | None:
@@ -42,17 +42,8 @@ def read_trial(layout: Layout, experiment: str, variant: str) -> Trial | None:
         UserError: its file is damaged, cannot be read now, or is of another schema version.
     """
     path = layout.trial(experiment, variant)
-    content = read_json(path)
-    if content is None:
-        return None
     hint = "move it away to begin another test, whose error rate then no longer counts the looks of this one"
-    validation.check_version(content, path, hint)
-    validation.check(content, _TRIAL, path, hint)
-    try:
-        pairs = tuple(Pairing(**pair) for pair in content["pairs"])
-        return Trial(group=content["group"], looks=content["looks"], alpha=float(content["alpha"]), pairs=pairs)
-    except (KeyError, TypeError, ValueError) as problem:
-        raise DamagedError(f"{path} is damaged: {problem}", hint) from problem
+    return read_record(Trial, path, hint)
 
 
 def begin_trial(layout: Layout, experiment: str, variant: str, trial: Trial) -> None:

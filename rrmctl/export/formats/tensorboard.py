@@ -19,7 +19,8 @@ from typing import TYPE_CHECKING
 
 from rrmctl.export import require
 from rrmctl.store.files import write_bytes
-from rrmctl.store.inventory import Run, settings
+from rrmctl.store.records import settings
+from rrmctl.store.snapshot import Run
 
 if TYPE_CHECKING:
     from tensorboard.compat.proto.event_pb2 import Event

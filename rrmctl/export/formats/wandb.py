@@ -24,7 +24,8 @@ from typing import TYPE_CHECKING, Any
 from rrm.environ import environment
 from rrmctl.errors import UserError
 from rrmctl.export import require
-from rrmctl.store.files import read_json, storage_error, write_json
+from rrmctl.store.files import storage_error
+from rrmctl.store.records import read_json, write_json
 
 if TYPE_CHECKING:
     from rrmctl.export.bundle import Bundle

@@ -18,7 +18,7 @@ from rrmctl.reports.page.parts import Column, Part, Picture, Table, identifier
 from rrmctl.reports.series import Section
 from rrmctl.reports.statistics import Statistics
 from rrmctl.reports.tables import kinds
-from rrmctl.store.inventory import Run
+from rrmctl.store.snapshot import Run
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

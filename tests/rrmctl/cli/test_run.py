@@ -20,13 +20,12 @@ from rrmctl.cli import introduction
 from rrmctl.cli.app import app
 from rrmctl.cli.request import Request, forecast
 from rrmctl.store import load, planned
-from rrmctl.store.files import try_lock
+from rrmctl.store.curve import CurveWriter
 from rrmctl.store.layout import Layout
-from rrmctl.store.reader import run_status
+from rrmctl.store.locks import try_lock
 from rrmctl.store.schema import TIMINGS
-from rrmctl.store.status import ErrorKind, RunError, RunState, Status, read_status, write_status
+from rrmctl.store.status import ErrorKind, RunError, RunState, Status, read_status, run_status, write_status
 from rrmctl.store.sweeps import read_sweeps
-from rrmctl.store.writer import CurveWriter
 from rrmctl.terminal import console
 from tests.rrmctl.running.standin import prepare, row
 
@@ -44,7 +43,7 @@ def settle(root: Path, state: RunState, seeds: str = "2", error: RunError | None
     """Pretend that toy-car's oracle has run for these seeds; the ids."""
     jobs = Request("toy-car", EXPERIMENTS, profile="smoke", seeds=seeds, methods=["oracle"]).plan().jobs
     for job in jobs:
-        steps = job.config.steps
+        steps = job.steps
         write_status(
             Layout(root).run(job.id), Status(state=state, attempt=1, step=steps, steps=steps, wall_s=6.0, error=error)
         )

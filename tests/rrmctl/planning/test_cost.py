@@ -8,7 +8,6 @@ from typing import Any
 import pytest
 
 from rrm.training.run_config import RunConfig
-from rrmctl.cli.request import job_record
 from rrmctl.planning import manifest
 from rrmctl.planning.cost import estimate_cost, measure_gemm, model_seconds
 from rrmctl.planning.plan import Plan, make_plan
@@ -84,8 +83,8 @@ def test_only_what_is_left_is_counted() -> None:
 def store(root: Path, plan: Plan, *states: Status) -> Layout:
     """A results root in which the plan's first runs are in these states."""
     layout = Layout(root)
-    jobs = tuple(job_record(job) for job in plan.jobs)
-    record_sweep(layout, SweepRecord(experiment=plan.experiment, variant=plan.variant, profile=plan.profile, jobs=jobs))
+    names = {"experiment": plan.experiment, "variant": plan.variant, "profile": plan.profile}
+    record_sweep(layout, SweepRecord(**names, jobs=plan.jobs))
     for job, status in zip(plan.jobs, states, strict=False):
         folder = layout.run(job.id)
         folder.path.mkdir(parents=True)
