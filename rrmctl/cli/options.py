@@ -10,10 +10,8 @@ from typing import Annotated
 import typer
 
 from rrm.files import place
-from rrmctl import commands
+from rrmctl.commands import DEFAULT_RESULTS as DEFAULT_RESULTS  # noqa: PLC0414 (for the commands)
 from rrmctl.errors import UserError
-
-DEFAULT_RESULTS = commands.DEFAULT_RESULTS
 
 
 def default_experiments() -> Path | None:
@@ -66,7 +64,7 @@ ExperimentsOption = Annotated[
         help="Where manifests of your own are, beside those of rrmctl. Default: experiments.",
     ),
 ]
-ProfileOption = Annotated[
+ScaleOption = Annotated[
     str | None,
     typer.Option(
         "--profile",
@@ -84,6 +82,7 @@ TasksOption = Annotated[
 MethodsOption = Annotated[
     list[str] | None, typer.Option("--methods", metavar="A,B", help="Only these methods of the experiment.")
 ]
+JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON for programs instead of a table.")]
 SetOption = Annotated[
     list[str] | None,
     typer.Option(
@@ -142,6 +141,4 @@ AgainstOption = Annotated[
 
 def split_names(values: list[str] | None) -> list[str] | None:
     """`["a,b", "c"]` as typed on the command line becomes `["a", "b", "c"]`; None stays None."""
-    if values is None:
-        return None
-    return [name.strip() for value in values for name in value.split(",") if name.strip()]
+    return values if values is None else [name.strip() for value in values for name in value.split(",") if name.strip()]

@@ -1,14 +1,13 @@
-"""What the options of `plan` and `run` ask for, and what it will cost, in the same words for both."""
+"""What the options of `plan` and `run` ask for, and what it will cost."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rrmctl.cli.options import split_names
-from rrmctl.errors import UserError
 
 if TYPE_CHECKING:
     from rrmctl.planning.cost import CostEstimate
@@ -64,17 +63,18 @@ class Forecast:
         """Jobs in this state."""
         return sum(status.state == state for status in self.states.values())
 
-    def left(self, job: str) -> float:
-        """Share of a job that is still to be run."""
-        status = self.states[job]
-        if status.state == "done":
-            return 0.0
-        return 1.0 - status.step / status.steps if status.steps else 1.0
+    @property
+    def shares(self) -> dict[str, float]:
+        """Share of each job that is still to be run."""
+        return {
+            job: 0.0 if status.state == "done" else 1.0 - status.step / status.steps if status.steps else 1.0
+            for job, status in self.states.items()
+        }
 
     @property
     def hours_left(self) -> float:
         """Core-hours still to be paid."""
-        return self.cost.core_hours({job: self.left(job) for job in self.states})
+        return self.cost.core_hours(self.shares)
 
 
 def forecast(plan: Plan, layout: Layout) -> Forecast:
@@ -99,49 +99,6 @@ def job_record(job: Job) -> JobRecord:
         id=job.id, cell=job.config.cell, **job.row._asdict(), seed=job.seed, steps=job.config.steps,
         requires=job.requires,
     )  # fmt: skip
-
-
-def in_words(forecast: Forecast, cores: int) -> str:
-    """One line: core-hours left, hours on this machine, and where the numbers come from."""
-    if forecast.count("done") == len(forecast.states):
-        return "Everything is done; running it again does nothing."
-    hours = forecast.hours_left
-    # No number of cores makes a sweep shorter than its longest job.
-    longest = max(forecast.cost.seconds[job] * forecast.left(job) for job in forecast.states) / 3600
-    wall = max(hours / cores, longest)
-    return (
-        f"About {duration(hours)} of one core are left, {duration(wall)} on {cores} "
-        f"core{'s' if cores > 1 else ''} ({forecast.cost.source})."
-    )
-
-
-def smaller(request: Request, plan: Plan) -> list[str]:
-    """How to pay less: what the same request would cost in cheaper profiles, and how to ask for a part of it."""
-    from rrmctl.planning.cost import estimate_cost, measure_gemm
-    from rrmctl.planning.profiles import profiles
-
-    gemm = measure_gemm()
-    bound = estimate_cost(plan, {}, gemm).core_hours()
-    seeds = {job.seed for job in plan.jobs}  # they cost the same, so one of them is planned
-    lines = []
-    for name, scale in profiles().items():
-        if name == plan.profile:
-            continue
-        try:
-            other = replace(request, profile=name, seeds=f"{min(seeds)},").plan()
-        except UserError:  # a profile that cannot hold the request is no advice
-            continue
-        hours = estimate_cost(other, {}, gemm).core_hours(
-            {job.id: len(seeds) for job in other.jobs}
-        )  # shared needs once
-        if hours < bound / 2:  # a profile that saves little is no advice
-            lines.append(f"--profile {name}: about {duration(hours)} of one core; {scale.about}")
-            bound = hours
-    if len(plan.jobs) > 1:
-        lines.append(
-            "a part of it: fewer --seeds, some --tasks or --methods; the rest can be added later, nothing runs twice"
-        )
-    return lines
 
 
 def duration(hours: float) -> str:
