@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -28,15 +27,19 @@ def clean(
     from rrmctl.store.unused import remove, unused
 
     layout = open_results(results)
-    found = {run: _size(layout.run(run).path) for run in unused(layout)}
-    for run, size in found.items():
-        typer.echo(f"{run}  {size / 1e6:8.1f} MB  {_described(layout.run(run))}")
-    gone = remove(layout, found) if yes else []
-    for run in set(found) - set(gone) if yes else ():
+    sizes = {}
+    for run in unused(layout):
+        files = (path for path in layout.run(run).path.rglob("*") if path.is_file())
+        sizes[run] = sum(path.lstat().st_size for path in files) / 1e6
+        typer.echo(f"{run}  {sizes[run]:8.1f} MB  {_described(layout.run(run))}")
+    if not yes:
+        waiting = f"{runs(len(sizes))}, {sum(sizes.values()):.1f} MB. Nothing was removed; --yes removes them."
+        typer.echo(waiting if sizes else "Every run is asked for by a sweep.")
+        return
+    gone = remove(layout, sizes)
+    for run in set(sizes) - set(gone):
         typer.echo(f"{run} is in use and stays")
-    told = f"{runs(len(gone))}, {sum(found[run] for run in gone) / 1e6:.1f} MB: removed."
-    waiting = f"{runs(len(found))}, {sum(found.values()) / 1e6:.1f} MB. Nothing was removed; --yes removes them."
-    typer.echo(told if yes else waiting if found else "Every run is asked for by a sweep.")
+    typer.echo(f"{runs(len(gone))}, {sum(sizes[run] for run in gone):.1f} MB: removed.")
 
 
 def _described(folder: RunFolder) -> str:
@@ -50,7 +53,3 @@ def _described(folder: RunFolder) -> str:
         return str(error)
     label = Label(config["task"], config["method"]).seeded(config["seed"])
     return f"{config['profile']} {label}: {run_status(folder).state}"
-
-
-def _size(folder: Path) -> int:
-    return sum(path.lstat().st_size for path in folder.rglob("*") if path.is_file())

@@ -20,27 +20,27 @@ def default_experiments() -> Path | None:
     return place(folder) if folder else None
 
 
-def complete_experiment(incomplete: str) -> list[str]:
-    """For the shell: experiments whose name starts with what was typed."""
+# For the shell, which picks those that start with what was typed.
+
+
+def _experiments() -> list[str]:
     from rrmctl.planning.experiments import available
 
     with contextlib.suppress(UserError):  # no such folder
-        return [name for name in available(default_experiments()) if name.startswith(incomplete)]
+        return list(available(default_experiments()))
     return []
 
 
-def complete_profile(incomplete: str) -> list[str]:
-    """For the shell: profiles whose name starts with what was typed."""
+def _profiles() -> list[str]:
     from rrmctl.planning.profiles import profiles
 
-    return [name for name in profiles() if name.startswith(incomplete)]
+    return list(profiles())
 
 
-def complete_setting(incomplete: str) -> list[str]:
-    """For the shell: settings that can follow --set."""
+def _settings() -> list[str]:
     from rrmctl.planning.settings import known_settings
 
-    return [f"{name}=" for name in known_settings() if name.startswith(incomplete)]
+    return [f"{name}=" for name in known_settings()]
 
 
 ExperimentArgument = Annotated[
@@ -48,7 +48,7 @@ ExperimentArgument = Annotated[
     typer.Argument(
         metavar="NAME",
         help="An experiment of `rrmctl list`, or the path of a manifest of your own.",
-        autocompletion=complete_experiment,
+        autocompletion=_experiments,
     ),
 ]
 ResultsOption = Annotated[
@@ -69,7 +69,7 @@ ScaleOption = Annotated[
     typer.Option(
         "--profile",
         help="Scale: paper, laptop, quickstart or smoke. Default: the manifest's, mostly paper.",
-        autocompletion=complete_profile,
+        autocompletion=_profiles,
     ),
 ]
 SeedsOption = Annotated[
@@ -89,7 +89,7 @@ SetOption = Annotated[
         "--set",
         metavar="KEY=VALUE",
         help="Change a setting of every run, e.g. agent.batch=256. Repeatable.",
-        autocompletion=complete_setting,
+        autocompletion=_settings,
     ),
 ]
 PriorOption = Annotated[

@@ -13,11 +13,10 @@ import typer
 from rrmctl.cli import introduction, options
 from rrmctl.cli.progress import runs
 from rrmctl.cli.request import Request, forecast, job_record
-from rrmctl.cli.rerun import remaking_commands, unconfigured
 from rrmctl.cli.screen import drain, unfailing
 from rrmctl.cli.status import note_damage
 from rrmctl.cli.stop_signals import resumable
-from rrmctl.cli.summary import finish
+from rrmctl.cli.summary import finish, remaking_commands, unconfigured
 from rrmctl.cli.trust import remember, require_trust
 from rrmctl.commands import rrmctl
 from rrmctl.errors import Exit, UserError

@@ -2,20 +2,22 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import socket
 import sys
 import time
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from rrmctl.cli.options import DEFAULT_RESULTS, ResultsOption
 from rrmctl.cli.progress import OVER, STATES, Group, errors, group_by_row, group_by_sweep, runs
-from rrmctl.cli.rerun import remaking_commands, unconfigured
 from rrmctl.cli.screen import tell
+from rrmctl.cli.summary import remaking_commands, unconfigured
 from rrmctl.commands import rrmctl
 from rrmctl.errors import UserError
 from rrmctl.terminal import stdout_console
@@ -31,14 +33,9 @@ if TYPE_CHECKING:
 _WATCH_S = 2.0
 
 _COLOURS = {
-    "done": "green",
-    "running": "cyan",
-    "interrupted": "yellow",
-    "waiting": "yellow",
-    "failed": "red",
-    "blocked": "red",
+    "done": "green", "running": "cyan", "interrupted": "yellow", "waiting": "yellow", "failed": "red", "blocked": "red",
     "unreadable": "bold red",
-}
+}  # fmt: skip
 
 
 def status(
@@ -63,70 +60,45 @@ def status(
 
     def look() -> _View:
         sweeps = readable_sweeps(layout)[0] if name is None else find_sweeps(layout, name)
-        states = statuses(layout, (job for sweep in sweeps for job in sweep.everything))
-        return _View(layout, sweeps, states, detailed=name is not None, failed=failed)
+        jobs = {job.id: job for sweep in sweeps for job in sweep.everything}
+        states = statuses(layout, jobs.values())
+        groups = (group_by_sweep if name is None else group_by_row)(sweeps, states)
+        return _View(layout, sweeps, states, groups, Group("all", list(jobs.values()), states))
 
     view = look()
+    shown = _View.failures if failed else _View.table
     if not watch:
-        typer.echo(json.dumps(view.as_json())) if as_json else stdout_console().print(view.table())
+        typer.echo(json.dumps(view.as_json())) if as_json else stdout_console().print(shown(view))
         return
-    try:
-        _watch(view, look, as_json=as_json)
-    except KeyboardInterrupt:  # how one leaves it
-        return
+    with contextlib.suppress(KeyboardInterrupt):  # how one leaves it
+        if as_json or not sys.stdout.isatty():
+            said = None
+            while True:
+                if (line := json.dumps(view.as_json()) if as_json else view.line()) != said:
+                    tell(line)
+                    said = line
+                if not view.total.open:
+                    return
+                time.sleep(_WATCH_S)
+                view = look()
+        from rich.live import Live
+
+        with Live(shown(view), console=stdout_console(), auto_refresh=False) as live:
+            while view.total.open:
+                time.sleep(_WATCH_S)
+                view = look()
+                live.update(shown(view), refresh=True)
 
 
-def _watch(view: _View, look: Any, *, as_json: bool) -> None:
-    from rich.live import Live
-
-    console = stdout_console()
-    if as_json or not sys.stdout.isatty():
-        said = None
-        while True:
-            told = json.dumps(view.as_json()) if as_json else view.line()
-            if told != said:
-                tell(told)
-                said = told
-            if not view.has_work:
-                return
-            time.sleep(_WATCH_S)
-            view = look()
-    with Live(view.table(), console=console, auto_refresh=False) as live:
-        while view.has_work:
-            time.sleep(_WATCH_S)
-            view = look()
-            live.update(view.table(), refresh=True)
-
-
+@dataclass(frozen=True)
 class _View:
-    """One look at the store, ready to be shown.
+    """One look at the store, ready to be shown."""
 
-    Args:
-        detailed: one line per row of the grid instead of one per sweep, and the runs under way.
-        failed: the failures instead.
-    """
-
-    def __init__(
-        self,
-        layout: Layout,
-        sweeps: Sequence[SweepRecord],
-        states: Mapping[str, Status],
-        *,
-        detailed: bool,
-        failed: bool,
-    ) -> None:
-        self._layout = layout
-        self._sweeps = sweeps
-        self._states = states
-        self._failed = failed
-        self.groups = group_by_row(sweeps, states) if detailed else group_by_sweep(sweeps, states)
-        jobs = {job.id: job for sweep in sweeps for job in sweep.everything}
-        self.total = Group("all", list(jobs.values()), states)
-
-    @property
-    def has_work(self) -> bool:
-        """Whether any run is neither done nor failed."""
-        return self.total.open > 0
+    layout: Layout
+    sweeps: Sequence[SweepRecord]
+    states: Mapping[str, Status]
+    groups: Sequence[Group]  #: the lines of the table
+    total: Group
 
     def line(self) -> str:
         """The totals in words."""
@@ -139,11 +111,8 @@ class _View:
         from rich.console import Group as Stack
         from rich.table import Table
 
-        if not self._sweeps:
-            begin = self._command("run", "quickstart")
-            return f"{self._layout.root} holds no sweep yet. Begin one: {begin}"
-        if self._failed:
-            return self._failures()
+        if not self.sweeps:
+            return self._nothing()
         table = Table(box=None, pad_edge=False)
         shown = [state for state in STATES if self.total.counts[state] or state == "done"]
         table.add_column(self.groups[0].heading)
@@ -154,50 +123,52 @@ class _View:
             table.add_row(group.name, *counts, str(len(group.jobs)), group.left)
         return Stack(table, "", self.line(), *self._hints())
 
-    def _hints(self) -> list[str]:
-        hints = []
+    def _nothing(self) -> str:
+        return f"{self.layout.root} holds no sweep yet. Begin one: {self._command('run', 'quickstart')}"
+
+    def _hints(self) -> Iterator[str]:
         if self.total.counts["failed"] or self.total.counts["unreadable"]:
-            hints.append(f"Why runs failed: {self._command('status', '--failed')}")
-        waited = Counter(str(status.error) for status in self._states.values() if status.state == "waiting")
-        hints += [f"{runs(count)} waiting for {what}" for what, count in waited.items()]
-        hosts = {status.host for status in self._states.values() if status.state == "running" and status.host}
+            yield f"Why runs failed: {self._command('status', '--failed')}"
+        waited = Counter(str(status.error) for status in self.states.values() if status.state == "waiting")
+        for what, count in waited.items():
+            yield f"{runs(count)} waiting for {what}"
+        hosts = {status.host for status in self.states.values() if status.state == "running" and status.host}
         if elsewhere := sorted(hosts - {socket.gethostname()}):
             after = f"should one be gone, this takes its runs over after 30 s of silence: {self._command('resume')}"
-            hints.append(f"Running on {', '.join(elsewhere)}; {after}")
-        jobs = [job for job in self.total.jobs if self._states[job.id].state not in OVER]
-        gone = unconfigured(self._layout, jobs)
+            yield f"Running on {', '.join(elsewhere)}; {after}"
+        jobs = [job for job in self.total.jobs if self.states[job.id].state not in OVER]
+        gone = unconfigured(self.layout, jobs)
         if not self.total.counts["running"] and len(jobs) > len(gone):
-            hints.append(f"Nothing is running; this goes on: {self._command('resume')}")
-        for command in remaking_commands(self._layout, self._sweeps, gone, self._states):
-            hints.append(f"Configurations are missing; this makes them, and the runs: {command}")
-        return hints
+            yield f"Nothing is running; this goes on: {self._command('resume')}"
+        for command in remaking_commands(self.layout, self.sweeps, gone, self.states):
+            yield f"Configurations are missing; this makes them, and the runs: {command}"
 
     def _command(self, *words: str) -> str:
-        return rrmctl(*words, results=self._layout.root)
+        return rrmctl(*words, results=self.layout.root)
 
-    def _failures(self) -> RenderableType:
+    def failures(self) -> RenderableType:
+        """The runs that failed, by what went wrong."""
         from rich.text import Text
 
-        lines = Text()
-        found = errors(self.total.jobs, self._states)
-        if not found:
+        if not self.sweeps:
+            return self._nothing()
+        if not (failed := errors(self.total.jobs, self.states)):
             return Text("No run failed.")
-        for message, jobs in found.items():
+        lines = Text()
+        for message, jobs in failed.items():
             lines.append(f"{runs(len(jobs))}: {message}\n", style="red")
             for job in jobs:
-                lines.append(f"  {job.id}  {job.label}, attempt {self._states[job.id].attempt}\n")
-        last = self._layout.run(jobs[-1].id)
-        lines.append(f"The end of a log: {self._command('show', last.id)}; all of it: {last.log}")
-        return lines
+                lines.append(f"  {job.id}  {job.label}, attempt {self.states[job.id].attempt}\n")
+        last = self.layout.run(jobs[-1].id)
+        return lines.append(f"The end of a log: {self._command('show', last.id)}; all of it: {last.log}")
 
     def as_json(self) -> dict[str, Any]:
         """For programs."""
+        failed = errors(self.total.jobs, self.states)
         return {
             "runs": len(self.total.jobs), **{state: self.total.counts[state] for state in STATES},
             "core_seconds_left": self.total.seconds_left, "groups": [group.as_json() for group in self.groups],
-            "errors": {
-                message: [job.id for job in jobs] for message, jobs in errors(self.total.jobs, self._states).items()
-            },
+            "errors": {message: [job.id for job in jobs] for message, jobs in failed.items()},
         }  # fmt: skip
 
 

@@ -48,19 +48,18 @@ def require_trust(root: Path, code: Mapping[str, str], *, trust: bool, asks: boo
     Args:
         code: digests of files, by path.
         trust: it was said beforehand.
-        asks: there is a person to ask.
+        asks: there is a person to ask, who may leave.
 
     Raises:
         UserError: nobody said so.
-        Exit: a person said no.
     """
     known = _known()
     foreign = [path for path, digest in code.items() if digest not in known]
     if foreign and not trust:
-        told = f"{root} has runs with code that you have not run from here before:\n  " + "\n  ".join(foreign)
+        problem = f"{root} has runs with code that you have not run from here before:\n  " + "\n  ".join(foreign)
         if not asks:
-            raise UserError(told, "look at it; --trust runs it")
-        typer.echo(spelled(told), err=True)
+            raise UserError(problem, "look at it; --trust runs it")
+        typer.echo(spelled(problem), err=True)
         if not typer.confirm("Run it?", err=True):
             raise typer.Exit(Exit.INCOMPLETE)
     remember(code.values())

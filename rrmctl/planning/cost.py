@@ -65,17 +65,15 @@ def estimate_cost(plan: Plan, speeds: Mapping[tuple[str, str, str], float]) -> C
         speeds: of stored runs, in environment steps per second by task, method and variant, evaluation included.
     """
     seconds: dict[str, float] = {}
-    measured = set()
     tabled: dict[tuple[str, ...], float] = {}
+    measured = set()
     for job in plan.everything:
         speed = speeds.get((job.task, job.method, plan.variant))
         if speed is not None:
-            seconds[job.id] = _costs()["start"] / 1000 + job.config.steps / speed
             measured.add(job.id)
-            continue
-        if job.row not in tabled:  # seeds cost the same
+        elif job.row not in tabled:  # seeds cost the same
             tabled[job.row] = tabled_seconds(job.config, measure_gemm())
-        seconds[job.id] = tabled[job.row]
+        seconds[job.id] = tabled[job.row] if speed is None else _costs()["start"] / 1000 + job.config.steps / speed
     return CostEstimate(seconds, frozenset(measured))
 
 
