@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from rrmctl.store.sweeps import JobRecord, SweepRecord
 
 
-@resumable
+@resumable()
 def run(
     name: options.ExperimentArgument,
     seeds: options.SeedsOption = None,
@@ -120,7 +120,7 @@ def run(
     finish(layout, code, [sweep], closing=plan.manifest.closing)
 
 
-@resumable
+@resumable()
 def resume(
     name: Annotated[
         str | None, typer.Argument(metavar="[NAME]", help="Only this experiment. Default: all in the results folder.")

@@ -8,32 +8,18 @@ a factor of two. One job keeps one core busy.
 from __future__ import annotations
 
 import math
-import subprocess
-import sys
+import time
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from rrm.environ import environment
-from rrmctl.errors import UserError
 from rrmctl.planning.toml import read_toml
 
 if TYPE_CHECKING:
     from rrmctl.planning.plan import Plan
     from rrmctl.planning.prerequisites import Config
-
-_PROBE = """
-import time, numpy as np
-a, b = np.ones((256, 256), np.float32), np.ones((256, 256), np.float32)
-spent = []
-while len(spent) < 20 or sum(spent) < 0.03:
-    start = time.process_time()
-    a @ b
-    spent.append(time.process_time() - start)
-print(2 * 256**3 / min(filter(None, spent)))
-"""
 
 
 @dataclass(frozen=True)
@@ -72,36 +58,34 @@ def estimate_cost(plan: Plan, speeds: Mapping[tuple[str, str, str], float]) -> C
         if speed is not None:
             measured.add(job.id)
         elif job.row not in tabled:  # seeds cost the same
-            tabled[job.row] = tabled_seconds(job.config, measure_gemm())
+            tabled[job.row] = tabled_seconds(job.config, core_speed())
         seconds[job.id] = tabled[job.row] if speed is None else _costs()["start"] / 1000 + job.config.steps / speed
     return CostEstimate(seconds, frozenset(measured))
 
 
 @cache
-def measure_gemm() -> float:
-    """Floating-point operations per second of one core in matrix products, measured for 30 ms in a process of its own.
+def core_speed() -> float:
+    """How fast a core of this machine multiplies matrices, 1 for the table's; measured once, for 30 ms.
 
     The best of at least twenty products counts, in the time that the core spent on it: what else runs on a busy machine
-    does not. It is measured once; all estimates of a command go by the same speed.
-
-    Raises:
-        UserError: numpy does not work here.
+    does not. They are so small that no library divides one between cores.
     """
-    one = {f"{name}_NUM_THREADS": "1" for name in ("OMP", "MKL", "OPENBLAS", "VECLIB", "NUMEXPR")}
-    done = subprocess.run(
-        [sys.executable, "-c", _PROBE], env=environment() | one, capture_output=True, text=True, check=False
-    )
-    if done.returncode != 0:
-        last = (done.stderr.strip().splitlines() or ["?"])[-1]
-        raise UserError(f"the speed of this machine cannot be measured: {last}", "`rrmctl doctor` says what is missing")
-    return float(done.stdout)
+    import numpy as np
+
+    factor = np.ones((64, 64), np.float32)
+    spent: list[float] = []
+    while len(spent) < 20 or sum(spent) < 0.03:
+        start = time.process_time()
+        factor @ factor
+        spent.append(time.process_time() - start)
+    return float(2 * 64**3 / min(filter(None, spent)) / _costs()["flops"])
 
 
-def tabled_seconds(config: Config, flops: float) -> float:
+def tabled_seconds(config: Config, speed: float) -> float:
     """Seconds of one run from nothing to its end on one core, by the table.
 
     Args:
-        flops: operations per second of the core in matrix products.
+        speed: of the core, in matrix products, over that of the table's.
     """
     costs, spec = _costs(), config.spec()
     step = costs["step"].get(spec.name) or costs["step"].get(spec.suite, costs["step"]["unknown"])
@@ -117,7 +101,7 @@ def tabled_seconds(config: Config, flops: float) -> float:
     if feedback is not None and (sessions := config.sessions()):
         label = learner["label"] * (reward.layers - 1) * reward.hidden**2 / reference * feedback.segment / 50
         labels = sessions * reward.epochs * min(feedback.batch * (sessions + 1) / 2, reward.capacity)
-    products = (updates * update + labels * label) * costs["flops"] / flops
+    products = (updates * update + labels * label) / speed
     return float(costs["start"] + (config.steps + evaluated) * step + updates * learner["call"] + products) / 1000
 
 
