@@ -49,7 +49,11 @@ def in_words(expected: Forecast, cores: int) -> str:
 
 def advise(console: Console, request: Request, expected: Forecast, least_hours: float) -> None:
     """Note what the plan will hardly be meant to do; where more core-hours are left, say how to pay less."""
-    for note in (*_unasked(expected.plan), *_threads(expected.plan)):
+    notes = list(_unasked(expected.plan))
+    threads, cores = max(job.config.threads for job in expected.plan.jobs), usable_cores()
+    if threads > cores:
+        notes.append(f"threads: {threads} for each run, on {cores} core{'s' if cores > 1 else ''}")
+    for note in notes:
         console.print(f"  note: {note}", soft_wrap=True)
     if expected.hours_left > least_hours:
         for line in smaller(request, expected.plan):
@@ -92,9 +96,3 @@ def _unasked(plan: Plan) -> Iterator[str]:
             fit = f"{queries:,} of {config.feedback.budget:,} questions fit into {config.steps:,} steps"
             short[fit][f"{job.task} {job.method}"] = None
     return (f"{fit}: {', '.join(names)}" for fit, names in short.items())
-
-
-def _threads(plan: Plan) -> Iterator[str]:
-    most, cores = max((job.config.threads for job in plan.jobs), default=1), usable_cores()
-    if most > cores:
-        yield f"threads: {most} for each run, on {cores} core{'s' if cores > 1 else ''}"

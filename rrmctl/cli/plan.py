@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import json
+from dataclasses import asdict
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from rrmctl.cli import options
 from rrmctl.cli.introduction import advise, in_words
-from rrmctl.cli.request import Forecast, Request, duration, forecast
+from rrmctl.cli.request import Forecast, Request, duration, forecast, job_record
 from rrmctl.errors import Exit, UserError
 from rrmctl.hardware import usable_cores
 from rrmctl.labels import Label
@@ -95,7 +96,7 @@ def plan(
     layout = new_results(results)
     expected = forecast(request.plan(), layout)
     plan = expected.plan
-    jobs, needed = ([_described_job(expected, job) for job in part] for part in (plan.jobs, plan.needed))
+    jobs, needed = ([_described(expected, job) for job in part] for part in (plan.jobs, plan.needed))
     if as_json:
         about = {"experiment": plan.experiment, "profile": plan.profile, "variant": plan.variant,
                  "overrides": plan.overrides, "core_hours": expected.cost.core_hours(),
@@ -116,12 +117,9 @@ def plan(
     advise(console, request, expected, 0.0)
 
 
-def _described_job(expected: Forecast, job: Job) -> dict[str, Any]:
-    return {
-        "id": job.id, "cell": job.config.cell, **job.row._asdict(), "seed": job.seed, "steps": job.config.steps,
-        "requires": list(job.config.requires),
-        "state": str(expected.states[job.id].state), "core_seconds": expected.cost.seconds[job.id],
-    }  # fmt: skip
+def _described(expected: Forecast, job: Job) -> dict[str, Any]:
+    more = {"state": str(expected.states[job.id].state), "core_seconds": expected.cost.seconds[job.id]}
+    return asdict(job_record(job)) | more
 
 
 def _table(jobs: list[dict[str, Any]], *, each: bool) -> Table:
@@ -155,8 +153,6 @@ def doctor(
     Ends with 1 where something that is needed is missing. A note stops nothing: rendering and pybullet are for tasks
     that see images or drive the simulated robot arm.
     """
-    from dataclasses import asdict
-
     from rich.text import Text
 
     from rrmctl.doctor import examine

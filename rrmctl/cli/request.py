@@ -31,11 +31,7 @@ class Request:
     priors: list[str] | None = None
 
     def plan(self) -> Plan:
-        """The jobs.
-
-        Raises:
-            UserError: the experiment is unknown, or an option does not fit it.
-        """
+        """The jobs; a `UserError` where the experiment is unknown, or an option does not fit it."""
         from rrmctl.planning.experiments import find
         from rrmctl.planning.manifest import load
         from rrmctl.planning.plan import make_plan
@@ -78,11 +74,7 @@ class Forecast:
 
 
 def forecast(plan: Plan, layout: Layout) -> Forecast:
-    """What the plan will cost, given what the store already has and how fast it came about.
-
-    Raises:
-        UserError: a sweep record is damaged.
-    """
+    """What the plan will cost, given what the store already has and how fast it came about."""
     from rrmctl.planning.cost import estimate_cost
     from rrmctl.store.reader import statuses
     from rrmctl.store.speeds import stored_speeds

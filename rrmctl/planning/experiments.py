@@ -18,10 +18,7 @@ def available(folder: Path | None) -> dict[str, Path]:
     """Every manifest by the experiment's name; one in the folder stands in place of a shipped one of its name.
 
     Args:
-        folder: of the user's manifests; None for `OWN`, which need not be there.
-
-    Raises:
-        UserError: there is no such folder.
+        folder: of the user's manifests, which must be there; None for `OWN`, which need not.
     """
     if folder is not None and not folder.is_dir():
         raise UserError(f"there is no folder {folder}", "name another with --experiments DIR or RRMCTL_EXPERIMENTS")
@@ -34,11 +31,7 @@ def replaced(found: dict[str, Path]) -> list[str]:
 
 
 def find(name: str, folder: Path | None) -> Path:
-    """The manifest of the experiment `name`, or `name` itself where it is the path of a .toml file.
-
-    Raises:
-        UserError: there is none; the message suggests the nearest.
-    """
+    """The manifest of the experiment `name` (the nearest is suggested), or `name` itself: the path of a .toml file."""
     path = place(name)
     if name.endswith(".toml") and not path.is_dir():
         if not path.exists():

@@ -34,9 +34,7 @@ class GridRow:
 def rows_of(manifest: Manifest) -> list[GridRow]:
     """Every row, in the manifest's order.
 
-    Raises:
-        UserError: paired axes differ in length, an exclude matches nothing, or leaves nothing, or there are too many;
-            or a `set` holds an unknown key or a wrong type.
+    Paired axes of different lengths, an exclude that matches or leaves nothing, and too many rows are refused.
     """
     rows: dict[GridRow, None] = {}
     for number, grid in enumerate(manifest.grids, start=1):

@@ -38,16 +38,15 @@ AMOUNTS = (
     "imitation.steps", "imitation.seed_steps", "imitation.every", "imitation.window", "imitation.switch",
 )  # fmt: skip
 
+#: Kinds of section by name, and the fields of a manifest that hold them.
+_FIELDS = {"task": "tasks", "profile": "profiles", "teacher": "teachers", "feedback": "feedback"}
+
 #: What a label of feedback spells out; a schedule that sets anything else is named in it.
 _SPELLED = {"batch", "every", "budget"}
 
 
 def check_names(manifest: Manifest, row: GridRow) -> None:
-    """Refuse a task, teacher or schedule of feedback that nothing defines.
-
-    Raises:
-        UserError: with the nearest known name.
-    """
+    """Refuse a task, teacher or schedule of feedback that nothing defines."""
     for kind, name, known in (
         ("task", row.task, TASKS),
         ("teacher", row.teacher, {**TEACHERS, **manifest.teachers}),
@@ -57,24 +56,16 @@ def check_names(manifest: Manifest, row: GridRow) -> None:
 
 
 def check_sections(manifest: Manifest) -> None:
-    """Check every setting of the manifest, also of sections and profiles that a plan does not use.
-
-    Raises:
-        UserError: unknown key or wrong type; names file, section and key.
-    """
-    for kind, sections in _sections(manifest).items():
-        for name in sections:
+    """Check every setting of the manifest, also of sections and profiles that a plan does not use."""
+    for kind, field in _FIELDS.items():
+        for name in getattr(manifest, field):
             _layer(manifest, kind, name)
     for name in manifest.profiles:
         check_known(name, profiles(), f"{manifest.path} [profile.{name}]: no profile has this name")
 
 
 def configure(manifest: Manifest, row: GridRow, method: Method, scale: str, overrides: Mapping[str, Any]) -> RunConfig:
-    """The configuration of the row's runs, with seed 0.
-
-    Args:
-        scale: the profile's name.
-        overrides: of `--set`, checked.
+    """The configuration of the row's runs, with seed 0, in the profile `scale` and with overrides of `--set`.
 
     Raises:
         UserError: unknown key, wrong type, or settings that cannot be run together; names file, section and key.
@@ -115,21 +106,13 @@ def feedback_label(manifest: Manifest, row: GridRow, config: RunConfig) -> str:
     return str(Schedule(config.feedback.batch, config.feedback.every, config.feedback.budget, name))
 
 
-def _sections(manifest: Manifest) -> dict[str, dict[str, Any]]:
-    return {
-        "task": manifest.tasks, "profile": manifest.profiles, "teacher": manifest.teachers,
-        "feedback": manifest.feedback,
-    }  # fmt: skip
-
-
 def _layer(manifest: Manifest, kind: str, name: str) -> Layer:
     """The manifest's section [kind.name], empty where it has none; a teacher's stands over the preset of its name."""
-    settings = _sections(manifest)[kind].get(name, {})
+    settings = getattr(manifest, _FIELDS[kind]).get(name, {})
     if kind == "teacher":
         settings = {**TEACHERS.get(name, {}), **settings}
-    return Layer.read(
-        f"{manifest.path} [{kind}.{name}]", {kind: settings} if kind in ("teacher", "feedback") else settings
-    )
+    tree = {kind: settings} if kind in ("teacher", "feedback") else settings
+    return Layer.read(f"{manifest.path} [{kind}.{name}]", tree)
 
 
 @cache
@@ -149,12 +132,11 @@ def _amounts(scale: str, task: str, kind: ProfileKind) -> dict[str, int]:
 
 
 def _scaled(layer: Layer, ratios: Mapping[str, tuple[int, int]], scale: str) -> Layer:
-    shrunk = {name: _shrunk(value, *ratios[name]) for name, value in layer.settings.items() if name in ratios}
+    shrunk = {}
+    for name in layer.settings.keys() & ratios.keys():
+        value, (ours, paper) = layer.settings[name], ratios[name]
+        # To the nearest integer; what was not zero stays so.
+        shrunk[name] = max((2 * value * ours + paper) // (2 * paper), min(value, 1))
     written = {name: f"{layer.settings[name]!r}, {value!r} in profile {scale},"
                for name, value in shrunk.items() if value != layer.settings[name]}  # fmt: skip
     return Layer(layer.where, {**layer.settings, **shrunk}, written)
-
-
-def _shrunk(value: int, ours: int, paper: int) -> int:
-    """`value * ours / paper` to the nearest integer; what was not zero stays so."""
-    return max((2 * value * ours + paper) // (2 * paper), min(value, 1))

@@ -63,13 +63,12 @@ def vocabulary() -> str:
 def method(name: str, own: Mapping[str, MethodTable], folder: Path, where: str) -> Method:
     """The method of this name: the manifest's own if it defines one, else by the grammar.
 
+    Unknown methods, learners and priors are refused with the nearest known one, and files that do not hold them.
+
     Args:
         own: the manifest's [method.NAME] sections.
         folder: the manifest's; files of users' code are named from there.
         where: the manifest, for messages.
-
-    Raises:
-        UserError: unknown method, learner or prior (with the nearest known), or a file that does not hold it.
     """
     section, table, names = f"{where} [method.{name}]", own.get(name, MethodTable()), grammar()
     if table.learner is None and table.prior is None:
@@ -91,11 +90,7 @@ def method(name: str, own: Mapping[str, MethodTable], folder: Path, where: str) 
 
 
 def residual(prior: str, folder: Path) -> Method:
-    """The residual method on one prior, as `--prior` adds it; a file's is called rrm-FUNCTION.
-
-    Raises:
-        UserError: unknown prior, or a file that does not hold it.
-    """
+    """The residual method on one prior, as `--prior` adds it; a file's is called rrm-FUNCTION."""
     name = prior.rpartition(":")[2] if is_file_reference(prior) else prior
     return Method(f"rrm-{name}", BASE_LEARNER, _named(prior, "prior", PRIORS, folder, "--prior"))
 

@@ -49,10 +49,6 @@ def profiles() -> dict[str, Profile]:
 
 
 def profile(name: str, where: str) -> Profile:
-    """The profile of this name, which `where` asks for.
-
-    Raises:
-        UserError: there is none; the message suggests the nearest.
-    """
+    """The profile of this name, which `where` asks for; where there is none, the nearest is suggested."""
     check_known(name, profiles(), f'{where}: unknown profile "{name}"')
     return profiles()[name]

@@ -86,11 +86,7 @@ class Layer:
 
     @classmethod
     def read(cls, where: str, tree: Any) -> Self:
-        """The layer of a tree of tables.
-
-        Raises:
-            UserError: unknown key, wrong type, or a setting that is decided elsewhere; names the place and the key.
-        """
+        """The layer of a tree of tables; an unknown key, a wrong type or what is decided elsewhere is refused."""
         return cls(where, {name: _checked(name, value, where) for name, value in _walk(tree, "", where)})
 
 
@@ -135,14 +131,12 @@ def _checked(name: str, value: Any, where: str) -> Any:
 def resolve(layers: Iterable[Layer], cell: str, **decided: Any) -> RunConfig:
     """One configuration out of layers, later ones winning.
 
+    Settings that do not go together (a segment longer than an episode, feedback after the end) are refused; the hint
+    names the layer that the offending one came from.
+
     Args:
-        layers: widest first.
         cell: what is being configured, for messages: file, task and method.
         decided: settings by dotted name that no layer may change.
-
-    Raises:
-        UserError: the settings do not go together (a segment longer than an episode, feedback after the end); the
-            message names the layer that the offending setting came from.
     """
     values: dict[str, Any] = {}
     origin: dict[str, Layer] = {}
@@ -179,11 +173,7 @@ def config_version() -> int:
 
 
 def parse_assignments(assignments: Iterable[str]) -> dict[str, Any]:
-    """`--set` arguments, `key=value` with a TOML value, by dotted name; a bare word is text.
-
-    Raises:
-        UserError: not an assignment, an unknown key, a wrong type.
-    """
+    """`--set` arguments, `key=value` with a TOML value, by dotted name and checked; a bare word is text."""
     settings: dict[str, Any] = {}
     for text in assignments:
         key, equals, value = text.partition("=")
@@ -196,7 +186,7 @@ def parse_assignments(assignments: Iterable[str]) -> dict[str, Any]:
 
 
 def check_assignments(settings: Mapping[str, Any]) -> dict[str, Any]:
-    """Overrides by dotted name, each checked. Raises `UserError` as `parse_assignments` does."""
+    """Overrides by dotted name, each checked."""
     for name, value in settings.items():
         if name in _sections():
             inside = value if isinstance(value, dict) else ()
