@@ -16,7 +16,7 @@ from typer.core import TyperGroup
 import rrm
 from rrm.environ import environment
 from rrm.errors import RrmError
-from rrmctl.cli import clean, demos, explain, export, page, plan, prior, report, run, show, status
+from rrmctl.cli import demos, explain, export, page, plan, prior, report, run, show, status
 from rrmctl.errors import Exit, UserError, room_error
 from rrmctl.streams import UndeliveredError, attend
 from rrmctl.terminal import console
@@ -122,7 +122,7 @@ def rrmctl(
 
 _COMMANDS = (
     *(plan.list_, plan.plan, run.run, status.status, run.resume, show.show),
-    *(report.plot, export.export, clean.clean, plan.doctor),
+    *(report.plot, export.export, status.clean, plan.doctor),
 )
 for _command in _COMMANDS:
     app.command(_command.__name__.rstrip("_"))(_command)  # list_ is the command `list`

@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from rrmctl.cli import options
-from rrmctl.cli.introduction import advise, in_words
-from rrmctl.cli.request import Forecast, Request, duration, forecast, job_record
+from rrmctl.cli.request import Forecast, Request, advise, duration, forecast, in_words, job_record
 from rrmctl.errors import Exit, UserError
 from rrmctl.hardware import usable_cores
 from rrmctl.labels import Label
@@ -75,7 +74,7 @@ def plan(
     prior: options.PriorOption = None,
     results: options.ResultsOption = options.DEFAULT_RESULTS,
     experiments: options.ExperimentsOption = None,
-    each: Annotated[bool, typer.Option("--jobs", help="One line a job instead of one a group of seeds.")] = False,
+    by_job: Annotated[bool, typer.Option("--jobs", help="One line a job instead of one a group of seeds.")] = False,
     as_json: options.JsonOption = False,
 ) -> None:
     """Show what `run` with the same options would do: the jobs, what they cost, and what is done already. Runs nothing.
@@ -108,7 +107,7 @@ def plan(
     console.print(f"makes {', '.join(plan.manifest.reproduces)}; {plan.manifest.rule}")
     overridden = "".join(f" · {key} = {json.dumps(value)}" for key, value in plan.overrides.items())
     console.print(f"profile {plan.variant}{overridden}\n")
-    console.print(_table([*needed, *jobs], each=each))
+    console.print(_table([*needed, *jobs], by_job=by_job))
     states = ("done", "running", "interrupted", "failed", "blocked", "unreadable")
     there = ", ".join(f"{expected.count(state)} {state}" for state in states if expected.count(state))
     more = f" and {len(needed)} that they need" if needed else ""
@@ -122,12 +121,12 @@ def _described(expected: Forecast, job: Job) -> dict[str, Any]:
     return asdict(job_record(job)) | more
 
 
-def _table(jobs: list[dict[str, Any]], *, each: bool) -> Table:
+def _table(jobs: list[dict[str, Any]], *, by_job: bool) -> Table:
     """One row for each group of seeds, or for each job."""
     from rich.table import Table
 
     table = Table("task", "method", "teacher", "feedback", "steps", box=None, pad_edge=False)
-    for name in ("seed", "state", "run") if each else ("seeds", "done"):
+    for name in ("seed", "state", "run") if by_job else ("seeds", "done"):
         table.add_column(name, justify="left" if name in ("state", "run") else "right")
     table.add_column("core time each", justify="right")
     rows: dict[tuple[str, ...], list[dict[str, Any]]] = {}
@@ -135,9 +134,9 @@ def _table(jobs: list[dict[str, Any]], *, each: bool) -> Table:
         rows.setdefault(tuple(job[name] for name in Label._fields), []).append(job)
     for names, group in rows.items():
         states = [job["state"] for job in group]
-        for job in group if each else group[:1]:
+        for job in group if by_job else group[:1]:
             which = (
-                (str(job["seed"]), job["state"], job["id"]) if each else (str(len(group)), str(states.count("done")))
+                (str(job["seed"]), job["state"], job["id"]) if by_job else (str(len(group)), str(states.count("done")))
             )
             table.add_row(*names, f"{job['steps']:,}", *which, duration(job["core_seconds"] / 3600))
     return table

@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from rrmctl.cli import introduction, options
+from rrmctl.cli import options
 from rrmctl.cli.progress import runs
-from rrmctl.cli.request import Request, forecast, job_record
+from rrmctl.cli.request import LARGE_H, Request, forecast, introduce, job_record
 from rrmctl.cli.screen import drain, unfailing
 from rrmctl.cli.status import note_damage
 from rrmctl.cli.stop_signals import resumable
@@ -94,7 +94,7 @@ def run(
     expected = forecast(plan, layout)
     anew = {job.id for job in plan.jobs} if force else set()
     before = replace(expected, states=dict.fromkeys(expected.states, Status())) if force else expected
-    introduction.introduce(screen, request, before, slots)
+    introduce(screen, request, before, slots)
     if rules:
         screen.print(f"  note: at most; what is decided after a group of {rules.group} seeds runs no more of them")
 
@@ -111,7 +111,7 @@ def run(
         return _train(screen, layout, assigned, slots, memory, hang_after), sweep
 
     drain(screen.file)
-    large = expected.hours_left > introduction.LARGE_H
+    large = expected.hours_left > LARGE_H
     large = large and any(wanted(job, expected.states[job.id]) for job in plan.everything)
     if large and not yes and _asks() and not typer.confirm("Start?", err=True):
         raise typer.Exit(Exit.INCOMPLETE)

@@ -1,4 +1,4 @@
-"""`rrmctl status`: where runs stand."""
+"""`rrmctl status`, where runs stand, and `rrmctl clean`, which removes those that nothing asks for any more."""
 
 from __future__ import annotations
 
@@ -20,12 +20,13 @@ from rrmctl.cli.screen import tell
 from rrmctl.cli.summary import remaking_commands, unconfigured
 from rrmctl.commands import rrmctl
 from rrmctl.errors import UserError
+from rrmctl.labels import Label
 from rrmctl.terminal import stdout_console
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
 
-    from rrmctl.store.layout import Layout
+    from rrmctl.store.layout import Layout, RunFolder
     from rrmctl.store.status import Status
     from rrmctl.store.sweeps import SweepRecord
 
@@ -176,3 +177,43 @@ def note_damage(damage: Iterable[UserError]) -> None:
     """One line on standard error for each file that a command can go on without."""
     for error in damage:
         tell(f"note: {error}; {error.hint}", err=True)
+
+
+def clean(
+    results: ResultsOption = DEFAULT_RESULTS,
+    yes: Annotated[bool, typer.Option("--yes", "-y", help="Remove them. Without it they are listed.")] = False,
+) -> None:
+    """Remove runs that no sweep asks for any more; without --yes only list them.
+
+    A run is left over when settings, a file of yours or the program changed and the experiment was run again, or when
+    its sweep's record was removed. Runs under way stay.
+    """
+    from rrmctl.store.reader import open_results
+    from rrmctl.store.unused import remove, unused
+
+    layout = open_results(results)
+    sizes = {}
+    for run in unused(layout):
+        files = (path for path in layout.run(run).path.rglob("*") if path.is_file())
+        sizes[run] = sum(path.lstat().st_size for path in files) / 1e6
+        typer.echo(f"{run}  {sizes[run]:8.1f} MB  {_described(layout.run(run))}")
+    if not yes:
+        waiting = f"{runs(len(sizes))}, {sum(sizes.values()):.1f} MB. Nothing was removed; --yes removes them."
+        typer.echo(waiting if sizes else "Every run is asked for by a sweep.")
+        return
+    gone = remove(layout, sizes)
+    for run in set(sizes) - set(gone):
+        typer.echo(f"{run} is in use and stays")
+    typer.echo(f"{runs(len(gone))}, {sum(sizes[run] for run in gone):.1f} MB: removed.")
+
+
+def _described(folder: RunFolder) -> str:
+    """What its configuration says it is, and where it stands."""
+    from rrmctl.store.reader import read_config, run_status
+
+    try:
+        config = read_config(folder)
+    except UserError as error:
+        return str(error)
+    label = Label(config["task"], config["method"]).seeded(config["seed"])
+    return f"{config['profile']} {label}: {run_status(folder).state}"

@@ -37,11 +37,11 @@ class CostEstimate:
     @property
     def source(self) -> str:
         """Where the numbers come from, in words."""
-        count, known = len(self.seconds), len(self.measured)
-        if known == count:
+        count, measured = len(self.seconds), len(self.measured)
+        if measured == count:
             return "from the speed of stored runs"
         table = "an estimate from the measured speed of one core and a table of costs"
-        return table if known == 0 else f"{known} of {count} jobs from the speed of stored runs, the rest {table}"
+        return table if measured == 0 else f"{measured} of {count} jobs from the speed of stored runs, the rest {table}"
 
 
 def estimate_cost(plan: Plan, speeds: Mapping[tuple[str, str, str], float]) -> CostEstimate:

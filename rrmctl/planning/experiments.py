@@ -22,12 +22,15 @@ def available(folder: Path | None) -> dict[str, Path]:
     """
     if folder is not None and not folder.is_dir():
         raise UserError(f"there is no folder {folder}", "name another with --experiments DIR or RRMCTL_EXPERIMENTS")
-    return dict(sorted({path.stem: path for each in (SHIPPED, folder or OWN) for path in each.glob("*.toml")}.items()))
+    paths = [*SHIPPED.glob("*.toml"), *(folder or OWN).glob("*.toml")]
+    return dict(sorted({path.stem: path for path in paths}.items()))
 
 
-def replaced(found: dict[str, Path]) -> list[str]:
+def replaced(manifests: dict[str, Path]) -> list[str]:
     """Names of the shipped experiments in place of which another file stands."""
-    return [name for name, path in found.items() if path.parent.resolve() != SHIPPED and (SHIPPED / path.name).exists()]
+    return [
+        name for name, path in manifests.items() if path.parent.resolve() != SHIPPED and (SHIPPED / path.name).exists()
+    ]
 
 
 def find(name: str, folder: Path | None) -> Path:
@@ -37,8 +40,8 @@ def find(name: str, folder: Path | None) -> Path:
         if not path.exists():
             raise UserError(f"there is no file {name}")
         return path
-    found = available(folder)
-    if name and name not in found and path.is_dir():
+    manifests = available(folder)
+    if name and name not in manifests and path.is_dir():
         raise UserError(f"{name} is a folder", "name an experiment of `rrmctl list`, or one manifest (*.toml)")
-    check_known(name, found, f'no experiment "{name}"')
-    return found[name]
+    check_known(name, manifests, f'no experiment "{name}"')
+    return manifests[name]

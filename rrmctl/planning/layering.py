@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from functools import cache
-from typing import Any
+from typing import Any, get_args
 
 from rrm.config import RewardConfig
 from rrm.envs.tasks import TASKS
@@ -24,7 +24,7 @@ from rrmctl.labels import NOTHING_ASKED
 from rrmctl.planning.grid import GridRow
 from rrmctl.planning.manifest import DEFAULT_FEEDBACK, Manifest
 from rrmctl.planning.methods import TASK, Method
-from rrmctl.planning.profiles import PAPER, ProfileKind, profiles
+from rrmctl.planning.profiles import PAPER, PATH, ProfileKind, profiles
 from rrmctl.planning.schedules import Schedule
 from rrmctl.planning.settings import Layer, fields, resolve
 
@@ -95,7 +95,14 @@ def configure(manifest: Manifest, row: GridRow, method: Method, scale: str, over
 @cache
 def profile_layers(scale: str, task: str, kind: ProfileKind) -> tuple[Layer, ...]:
     """What the profile sets for a task and a kind of method, widest first."""
-    return tuple(Layer.read(*layer) for layer in profiles()[scale].layers(TASKS[task].suite, task, kind))
+    layers = []
+    for name, table in profiles()[scale].chain:
+        for section, named in (("all", None), ("suite", TASKS[task].suite), ("task", task)):
+            settings = table.get(section, {}) if named is None else table.get(section, {}).get(named, {})
+            where = f"{PATH.name} [{name}.{section}" + (f".{named}" if named else "")
+            common = {key: value for key, value in settings.items() if key not in get_args(ProfileKind)}
+            layers += [Layer.read(f"{where}]", common), Layer.read(f"{where}.{kind}]", settings.get(kind, {}))]
+    return tuple(layers)
 
 
 def feedback_label(manifest: Manifest, row: GridRow, config: RunConfig) -> str:

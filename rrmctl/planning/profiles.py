@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Any, Literal
 
 from rrmctl.errors import check_known
 from rrmctl.planning.toml import read_toml
@@ -27,15 +26,6 @@ class Profile:
     name: str
     about: str  #: one sentence for people
     chain: tuple[tuple[str, dict[str, Any]], ...]  #: (name, table) of what this profile builds on, itself last
-
-    def layers(self, suite: str, task: str, kind: ProfileKind) -> Iterator[tuple[str, dict[str, Any]]]:
-        """The place and the settings of each layer of one cell, widest first."""
-        for name, table in self.chain:
-            for section, named in (("all", None), ("suite", suite), ("task", task)):
-                settings = table.get(section, {}) if named is None else table.get(section, {}).get(named, {})
-                where = f"{PATH.name} [{name}.{section}" + (f".{named}" if named else "")
-                yield f"{where}]", {key: value for key, value in settings.items() if key not in get_args(ProfileKind)}
-                yield f"{where}.{kind}]", settings.get(kind, {})
 
 
 @cache

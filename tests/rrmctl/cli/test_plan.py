@@ -13,8 +13,7 @@ from typer.testing import CliRunner, Result
 
 from rrmctl import doctor
 from rrmctl.cli import plan
-from rrmctl.cli.introduction import smaller
-from rrmctl.cli.request import Request, duration
+from rrmctl.cli.request import Request, duration, smaller
 from rrmctl.errors import UserError
 from rrmctl.planning.cost import estimate_cost
 
