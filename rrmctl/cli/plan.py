@@ -98,7 +98,7 @@ def plan(
     jobs, needed = ([_described(expected, job) for job in part] for part in (plan.jobs, plan.needed))
     if as_json:
         about = {"experiment": plan.experiment, "profile": plan.profile, "variant": plan.variant,
-                 "overrides": plan.overrides, "core_hours": expected.cost.core_hours(),
+                 "overrides": plan.overrides, "core_hours": expected.hours,
                  "core_hours_left": expected.hours_left}  # fmt: skip
         typer.echo(json.dumps(about | {"jobs": jobs, "needed": needed}, indent=2))
         return
@@ -117,7 +117,7 @@ def plan(
 
 
 def _described(expected: Forecast, job: Job) -> dict[str, Any]:
-    more = {"state": str(expected.states[job.id].state), "core_seconds": expected.cost.seconds[job.id]}
+    more = {"state": str(expected.states[job.id].state), "core_seconds": expected.seconds[job.id]}
     return asdict(job_record(job)) | more
 
 

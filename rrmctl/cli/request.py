@@ -15,7 +15,6 @@ from rrmctl.hardware import usable_cores
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from rrmctl.planning.cost import CostEstimate
     from rrmctl.planning.plan import Job, Plan
     from rrmctl.store.layout import Layout
     from rrmctl.store.status import Status
@@ -61,7 +60,8 @@ class Forecast:
 
     plan: Plan
     states: Mapping[str, Status]  #: by job id
-    cost: CostEstimate
+    seconds: Mapping[str, float]  #: from nothing to the end, by job id
+    measured: int  #: jobs whose cost comes from stored runs
 
     def count(self, state: str) -> int:
         """Jobs in this state."""
@@ -76,19 +76,26 @@ class Forecast:
         }
 
     @property
+    def hours(self) -> float:
+        """Core-hours of all jobs."""
+        return sum(self.seconds.values()) / 3600
+
+    @property
     def hours_left(self) -> float:
         """Core-hours still to be paid."""
-        return self.cost.core_hours(self.shares)
+        return sum(self.seconds[job] * share for job, share in self.shares.items()) / 3600
 
 
 def forecast(plan: Plan, layout: Layout) -> Forecast:
     """What the plan will cost, given what the store already has and how fast it came about."""
-    from rrmctl.planning.cost import estimate_cost
+    from rrmctl.planning.cost import estimate_seconds
     from rrmctl.store.reader import statuses
     from rrmctl.store.speeds import stored_speeds
 
     states = statuses(layout, plan.everything)
-    return Forecast(plan, states, estimate_cost(plan, stored_speeds(layout, states)))
+    speeds = stored_speeds(layout, states)
+    measured = sum((job.task, job.method, plan.variant) in speeds for job in plan.everything)
+    return Forecast(plan, states, estimate_seconds(plan, speeds), measured)
 
 
 def job_record(job: Job) -> JobRecord:
@@ -129,12 +136,15 @@ def in_words(expected: Forecast, cores: int) -> str:
     """One line: core-hours left, hours on this machine, and where the numbers come from."""
     if expected.count("done") == len(expected.states):
         return "Everything is done; running it again does nothing."
-    hours, shares = expected.hours_left, expected.shares
+    hours, jobs, source = expected.hours_left, len(expected.states), "from the speed of stored runs"
+    if expected.measured < jobs:
+        table = "an estimate from the measured speed of one core and a table of costs"
+        source = f"{expected.measured} of {jobs} jobs {source}, the rest {table}" if expected.measured else table
     # No number of cores makes a sweep shorter than its longest job.
-    longest = max(expected.cost.seconds[job] * share for job, share in shares.items()) / 3600
+    longest = max(expected.seconds[job] * share for job, share in expected.shares.items()) / 3600
     return (
         f"About {duration(hours)} of one core are left, {duration(max(hours / cores, longest))} on {cores} "
-        f"core{'s' if cores > 1 else ''} ({expected.cost.source})."
+        f"core{'s' if cores > 1 else ''} ({source})."
     )
 
 
@@ -153,10 +163,10 @@ def advise(console: Console, request: Request, expected: Forecast, least_hours: 
 
 def smaller(request: Request, plan: Plan) -> list[str]:
     """How to pay less: what the same request would cost in cheaper profiles, and how to ask for a part of it."""
-    from rrmctl.planning.cost import estimate_cost
+    from rrmctl.planning.cost import estimate_seconds
     from rrmctl.planning.profiles import profiles
 
-    bound = estimate_cost(plan, {}).core_hours()
+    bound = sum(estimate_seconds(plan, {}).values())
     seeds = {job.seed for job in plan.jobs}  # they cost the same, so one of them is planned
     lines = []
     for name, scale in profiles().items():
@@ -166,11 +176,11 @@ def smaller(request: Request, plan: Plan) -> list[str]:
             other = replace(request, profile=name, seeds=f"{min(seeds)},").plan()
         except UserError:  # a profile that cannot hold the request is no advice
             continue
-        # What all seeds need is run once.
-        hours = estimate_cost(other, {}).core_hours({job.id: len(seeds) for job in other.jobs})
-        if hours < bound / 2:  # a profile that saves little is no advice
-            lines.append(f"--profile {name}: about {duration(hours)} of one core; {scale.about}")
-            bound = hours
+        once = estimate_seconds(other, {})  # what all seeds need is run once
+        seconds = sum(once.values()) + (len(seeds) - 1) * sum(once[job.id] for job in other.jobs)
+        if seconds < bound / 2:  # a profile that saves little is no advice
+            lines.append(f"--profile {name}: about {duration(seconds / 3600)} of one core; {scale.about}")
+            bound = seconds
     if len(plan.jobs) > 1:
         lines.append(
             "a part of it: fewer --seeds, some --tasks or --methods; the rest can be added later, nothing runs twice"

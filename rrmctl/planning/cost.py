@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Mapping
-from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -22,45 +21,20 @@ if TYPE_CHECKING:
     from rrmctl.planning.prerequisites import Config
 
 
-@dataclass(frozen=True)
-class CostEstimate:
-    """Cost of every job of a plan on its own core."""
-
-    seconds: Mapping[str, float]  #: by job id, from nothing to the end
-    measured: frozenset[str]  #: ids of the jobs whose rate comes from stored runs
-
-    def core_hours(self, left: Mapping[str, float] | None = None) -> float:
-        """Of all jobs, or of so much of each as is `left`, in whole jobs (1 where it is not named)."""
-        share = left or {}
-        return sum(s * share.get(job, 1.0) for job, s in self.seconds.items()) / 3600
-
-    @property
-    def source(self) -> str:
-        """Where the numbers come from, in words."""
-        count, measured = len(self.seconds), len(self.measured)
-        if measured == count:
-            return "from the speed of stored runs"
-        table = "an estimate from the measured speed of one core and a table of costs"
-        return table if measured == 0 else f"{measured} of {count} jobs from the speed of stored runs, the rest {table}"
-
-
-def estimate_cost(plan: Plan, speeds: Mapping[tuple[str, str, str], float]) -> CostEstimate:
-    """The cost of a plan.
+def estimate_seconds(plan: Plan, speeds: Mapping[tuple[str, str, str], float]) -> dict[str, float]:
+    """What every job of a plan takes on a core of its own, from nothing to the end, by id.
 
     Args:
         speeds: of stored runs, in environment steps per second by task, method and variant, evaluation included.
     """
     seconds: dict[str, float] = {}
     tabled: dict[tuple[str, ...], float] = {}
-    measured = set()
     for job in plan.everything:
         speed = speeds.get((job.task, job.method, plan.variant))
-        if speed is not None:
-            measured.add(job.id)
-        elif job.row not in tabled:  # seeds cost the same
+        if speed is None and job.row not in tabled:  # seeds cost the same
             tabled[job.row] = tabled_seconds(job.config, core_speed())
         seconds[job.id] = tabled[job.row] if speed is None else _costs()["start"] / 1000 + job.config.steps / speed
-    return CostEstimate(seconds, frozenset(measured))
+    return seconds
 
 
 @cache

@@ -8,9 +8,9 @@ from typing import Any
 import pytest
 
 from rrm.training.run_config import RunConfig
-from rrmctl.cli.request import job_record
+from rrmctl.cli.request import Forecast, forecast, in_words, job_record
 from rrmctl.planning import manifest
-from rrmctl.planning.cost import core_speed, estimate_cost, tabled_seconds
+from rrmctl.planning.cost import core_speed, estimate_seconds, tabled_seconds
 from rrmctl.planning.plan import Plan, make_plan
 from rrmctl.store.layout import Layout
 from rrmctl.store.speeds import stored_speeds
@@ -72,24 +72,25 @@ def test_order_of_magnitude(task: str, learner: str, sizes: dict[str, Any], hour
     assert hours / 2 < tabled_seconds(config, 1.0) / 3600 < hours * 2
 
 
-def test_seeds_cost_the_same() -> None:
+def test_seeds_cost_the_same(tmp_path: Path) -> None:
     """The estimate covers every job, adds up, and says that it is an estimate."""
     plan = toy(seeds="3")
-    cost = estimate_cost(plan, {})
-    assert set(cost.seconds) == {job.id for job in plan.jobs}
-    assert len(set(cost.seconds.values())) == 2
-    assert cost.core_hours() == pytest.approx(sum(cost.seconds.values()) / 3600)
-    assert "an estimate" in cost.source
+    expected = forecast(plan, Layout(tmp_path))
+    assert set(expected.seconds) == {job.id for job in plan.jobs}
+    assert len(set(expected.seconds.values())) == 2
+    assert expected.hours_left == expected.hours == pytest.approx(sum(expected.seconds.values()) / 3600)
+    assert "(an estimate" in in_words(expected, 1)
 
 
 def test_only_what_is_left_is_counted() -> None:
     """A finished job costs nothing more, one half done half as much."""
     plan = toy(seeds="1")
-    cost = estimate_cost(plan, {(job.task, job.method, "paper"): 100.0 for job in plan.jobs})
-    assert cost.core_hours() == pytest.approx(2 * (3 + 15_000 / 100) / 3600)
-    assert cost.core_hours({plan.jobs[0].id: 0.0, plan.jobs[1].id: 0.5}) == pytest.approx(
-        0.5 * (3 + 15_000 / 100) / 3600
-    )
+    seconds = estimate_seconds(plan, {(job.task, job.method, "paper"): 100.0 for job in plan.jobs})
+    assert list(seconds.values()) == [3 + 15_000 / 100] * 2
+    states = (Status(state=RunState.DONE), Status(state=RunState.INTERRUPTED, step=7500, steps=15_000))
+    expected = Forecast(plan, dict(zip(seconds, states, strict=True)), seconds, measured=2)
+    assert expected.hours_left == pytest.approx(0.5 * (3 + 15_000 / 100) / 3600)
+    assert in_words(expected, 1).endswith("(from the speed of stored runs).")
 
 
 def store(root: Path, plan: Plan, *states: Status) -> Layout:
@@ -111,12 +112,10 @@ def test_stored_speeds_come_first(tmp_path: Path) -> None:
     layout = store(tmp_path, plan, done)
     rates = stored_speeds(layout)
     assert rates == {("toy-car", "oracle", "paper"): 500.0}
-    cost = estimate_cost(plan, rates)
-    assert {job.method for job in plan.jobs if job.id in cost.measured} == {"oracle"}
-    assert cost.seconds[plan.jobs[0].id] == 33.0
-    assert "2 of 4 jobs" in cost.source
-    smaller = toy(overrides={"agent.batch": 8})
-    assert not estimate_cost(smaller, rates).measured
+    expected = forecast(plan, layout)
+    assert [expected.seconds[job.id] for job in plan.jobs if job.method == "oracle"] == [33.0] * 2
+    assert "2 of 4 jobs from the speed of stored runs, the rest an estimate" in in_words(expected, 1)
+    assert forecast(toy(overrides={"agent.batch": 8}), layout).measured == 0
 
 
 def test_speed_of_unfinished_runs(tmp_path: Path) -> None:
