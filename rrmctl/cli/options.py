@@ -52,12 +52,11 @@ ExperimentArgument = Annotated[
     ),
 ]
 ResultsOption = Annotated[
-    Path, typer.Option("--results", parser=place, metavar="DIR", envvar="RRMCTL_RESULTS", help="Where runs are kept.")
+    Path, typer.Option(parser=place, metavar="DIR", envvar="RRMCTL_RESULTS", help="Where runs are kept.")
 ]
 ExperimentsOption = Annotated[
     Path | None,
     typer.Option(
-        "--experiments",
         parser=place,
         metavar="DIR",
         envvar="RRMCTL_EXPERIMENTS",
@@ -67,21 +66,15 @@ ExperimentsOption = Annotated[
 ScaleOption = Annotated[
     str | None,
     typer.Option(
-        "--profile",
         help="Scale: paper, laptop, quickstart or smoke. Default: the manifest's, mostly paper.",
         autocompletion=_profiles,
     ),
 ]
 SeedsOption = Annotated[
-    str | None,
-    typer.Option("--seeds", metavar="N|LIST", help="10 means seeds 0 to 9; 0,3,7 means these; 4, means seed 4 alone."),
+    str | None, typer.Option(metavar="N|LIST", help="10 means seeds 0 to 9; 0,3,7 means these; 4, means seed 4 alone.")
 ]
-TasksOption = Annotated[
-    list[str] | None, typer.Option("--tasks", metavar="A,B", help="Only these tasks of the experiment.")
-]
-MethodsOption = Annotated[
-    list[str] | None, typer.Option("--methods", metavar="A,B", help="Only these methods of the experiment.")
-]
+TasksOption = Annotated[list[str] | None, typer.Option(metavar="A,B", help="Only these tasks of the experiment.")]
+MethodsOption = Annotated[list[str] | None, typer.Option(metavar="A,B", help="Only these methods of the experiment.")]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON for programs instead of a table.")]
 SetOption = Annotated[
     list[str] | None,
@@ -95,9 +88,7 @@ SetOption = Annotated[
 PriorOption = Annotated[
     list[str] | None,
     typer.Option(
-        "--prior",
-        metavar="NAME|FILE.py:FUNCTION",
-        help="Add the residual method on this prior to the experiment. Repeatable.",
+        metavar="NAME|FILE.py:FUNCTION", help="Add the residual method on this prior to the experiment. Repeatable."
     ),
 ]
 #: Silence after which a job counts as hung, minutes; a feedback session may take some.
@@ -109,14 +100,11 @@ WorkersOption = Annotated[
 ]
 MemoryOption = Annotated[
     float | None,
-    typer.Option(
-        "--memory", min=0.1, metavar="GIB", help="A job that takes more is ended and goes on from its checkpoint."
-    ),
+    typer.Option(min=0.1, metavar="GIB", help="A job that takes more is ended and goes on from its checkpoint."),
 ]
 HangOption = Annotated[
     float,
     typer.Option(
-        "--hang-after",
         min=0.01,
         metavar="MINUTES",
         help="A job that shows no progress for so long is ended and goes on from its checkpoint.",
@@ -128,14 +116,13 @@ UntilDecidedOption = Annotated[
     typer.Option("--until-decided", help="Run seeds in groups until it is decided which methods differ; see above."),
 ]
 MaxSeedsOption = Annotated[
-    int | None, typer.Option("--max-seeds", min=1, metavar="N", help="With --until-decided: seeds 0 to N-1 at most.")
+    int | None, typer.Option(min=1, metavar="N", help="With --until-decided: seeds 0 to N-1 at most.")
 ]
 GroupOption = Annotated[
-    int | None, typer.Option("--group", min=2, max=8, help="With --until-decided: seeds between two looks. Default: 5.")
+    int | None, typer.Option(min=2, max=8, help="With --until-decided: seeds between two looks. Default: 5.")
 ]
 AgainstOption = Annotated[
-    str | None,
-    typer.Option("--against", metavar="METHOD", help="With --until-decided: compare with this. Default: the first."),
+    str | None, typer.Option(metavar="METHOD", help="With --until-decided: compare with this. Default: the first.")
 ]
 
 
