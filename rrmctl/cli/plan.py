@@ -12,12 +12,12 @@ from rrmctl.cli import options
 from rrmctl.cli.request import Forecast, Request, advise, duration, forecast, in_words, job_record
 from rrmctl.errors import Exit, UserError
 from rrmctl.hardware import usable_cores
-from rrmctl.labels import Label
 from rrmctl.terminal import stdout_console
 
 if TYPE_CHECKING:
     from rich.table import Table
 
+    from rrmctl.labels import Label
     from rrmctl.planning.plan import Job
 
 _STYLES = {"ok": "green", "note": "yellow", "missing": "bold red"}
@@ -95,10 +95,10 @@ def plan(
     layout = new_results(results)
     expected = forecast(request.plan(), layout)
     plan = expected.plan
-    jobs, needed = ([_described(expected, job) for job in part] for part in (plan.jobs, plan.needed))
     if as_json:
+        jobs, needed = ([_described(expected, job) for job in part] for part in (plan.jobs, plan.needed))
         about = {"experiment": plan.experiment, "profile": plan.profile, "variant": plan.variant,
-                 "overrides": plan.overrides, "core_hours": expected.hours,
+                 "overrides": plan.overrides, "core_hours": sum(expected.seconds.values()) / 3600,
                  "core_hours_left": expected.hours_left}  # fmt: skip
         typer.echo(json.dumps(about | {"jobs": jobs, "needed": needed}, indent=2))
         return
@@ -107,12 +107,12 @@ def plan(
     console.print(f"makes {', '.join(plan.manifest.reproduces)}; {plan.manifest.rule}")
     overridden = "".join(f" · {key} = {json.dumps(value)}" for key, value in plan.overrides.items())
     console.print(f"profile {plan.variant}{overridden}\n")
-    console.print(_table([*needed, *jobs], by_job=by_job))
+    console.print(_table(expected, by_job=by_job))
     states = ("done", "running", "interrupted", "failed", "blocked", "unreadable")
     there = ", ".join(f"{expected.count(state)} {state}" for state in states if expected.count(state))
-    more = f" and {len(needed)} that they need" if needed else ""
+    more = f" and {len(plan.needed)} that they need" if plan.needed else ""
     words = in_words(expected, usable_cores())
-    console.print(f"\n{len(jobs)} jobs{more}, {there or 'none run yet'}. {words}")
+    console.print(f"\n{len(plan.jobs)} jobs{more}, {there or 'none run yet'}. {words}")
     advise(console, request, expected, 0.0)
 
 
@@ -121,7 +121,7 @@ def _described(expected: Forecast, job: Job) -> dict[str, Any]:
     return asdict(job_record(job)) | more
 
 
-def _table(jobs: list[dict[str, Any]], *, by_job: bool) -> Table:
+def _table(expected: Forecast, *, by_job: bool) -> Table:
     """One row for each group of seeds, or for each job."""
     from rich.table import Table
 
@@ -129,16 +129,14 @@ def _table(jobs: list[dict[str, Any]], *, by_job: bool) -> Table:
     for name in ("seed", "state", "run") if by_job else ("seeds", "done"):
         table.add_column(name, justify="left" if name in ("state", "run") else "right")
     table.add_column("core time each", justify="right")
-    rows: dict[tuple[str, ...], list[dict[str, Any]]] = {}
-    for job in jobs:
-        rows.setdefault(tuple(job[name] for name in Label._fields), []).append(job)
-    for names, group in rows.items():
-        states = [job["state"] for job in group]
-        for job in group if by_job else group[:1]:
-            which = (
-                (str(job["seed"]), job["state"], job["id"]) if by_job else (str(len(group)), str(states.count("done")))
-            )
-            table.add_row(*names, f"{job['steps']:,}", *which, duration(job["core_seconds"] / 3600))
+    rows: dict[Label, list[Job]] = {}
+    for job in expected.plan.everything:
+        rows.setdefault(job.row, []).append(job)
+    for names, jobs in rows.items():
+        states = [str(expected.states[job.id].state) for job in jobs]
+        for job, state in zip(jobs, states, strict=True) if by_job else ((jobs[0], ""),):
+            which = (str(job.seed), state, job.id) if by_job else (str(len(jobs)), str(states.count("done")))
+            table.add_row(*names, f"{job.config.steps:,}", *which, duration(expected.seconds[job.id] / 3600))
     return table
 
 

@@ -76,11 +76,6 @@ class Forecast:
         }
 
     @property
-    def hours(self) -> float:
-        """Core-hours of all jobs."""
-        return sum(self.seconds.values()) / 3600
-
-    @property
     def hours_left(self) -> float:
         """Core-hours still to be paid."""
         return sum(self.seconds[job] * share for job, share in self.shares.items()) / 3600
