@@ -71,24 +71,22 @@ def status(
     if not watch:
         typer.echo(json.dumps(view.as_json())) if as_json else stdout_console().print(shown(view))
         return
-    with contextlib.suppress(KeyboardInterrupt):  # how one leaves it
-        if as_json or not sys.stdout.isatty():
-            said = None
-            while True:
-                if (line := json.dumps(view.as_json()) if as_json else view.line()) != said:
-                    tell(line)
-                    said = line
-                if not view.total.open:
-                    return
-                time.sleep(_WATCH_S)
-                view = look()
-        from rich.live import Live
+    from rich.live import Live
 
-        with Live(shown(view), console=stdout_console(), auto_refresh=False) as live:
-            while view.total.open:
-                time.sleep(_WATCH_S)
-                view = look()
-                live.update(shown(view), refresh=True)
+    said = None
+    at_terminal = sys.stdout.isatty() and not as_json
+    live = Live(shown(view), console=stdout_console(), auto_refresh=False) if at_terminal else contextlib.nullcontext()
+    with contextlib.suppress(KeyboardInterrupt), live as display:  # how one leaves it
+        while True:
+            if display is not None:
+                display.update(shown(view), refresh=True)
+            elif (line := json.dumps(view.as_json()) if as_json else view.line()) != said:
+                tell(line)
+                said = line
+            if not view.total.open:
+                return
+            time.sleep(_WATCH_S)
+            view = look()
 
 
 @dataclass(frozen=True)
