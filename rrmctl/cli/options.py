@@ -43,54 +43,34 @@ def _settings() -> list[str]:
     return [f"{name}=" for name in known_settings()]
 
 
-ExperimentArgument = Annotated[
-    str,
-    typer.Argument(
-        metavar="NAME",
-        help="An experiment of `rrmctl list`, or the path of a manifest of your own.",
-        autocompletion=_experiments,
-    ),
-]
+ExperimentArgument = Annotated[str, typer.Argument(
+    metavar="NAME", autocompletion=_experiments,
+    help="An experiment of `rrmctl list`, or the path of a manifest of your own.",
+)]  # fmt: skip
 ResultsOption = Annotated[
     Path, typer.Option(parser=place, metavar="DIR", envvar="RRMCTL_RESULTS", help="Where runs are kept.")
 ]
-ExperimentsOption = Annotated[
-    Path | None,
-    typer.Option(
-        parser=place,
-        metavar="DIR",
-        envvar="RRMCTL_EXPERIMENTS",
-        help="Where manifests of your own are, beside those of rrmctl. Default: experiments.",
-    ),
-]
-ScaleOption = Annotated[
-    str | None,
-    typer.Option(
-        help="Scale: paper, laptop, quickstart or smoke. Default: the manifest's, mostly paper.",
-        autocompletion=_profiles,
-    ),
-]
+ExperimentsOption = Annotated[Path | None, typer.Option(
+    parser=place, metavar="DIR", envvar="RRMCTL_EXPERIMENTS",
+    help="Where manifests of your own are, beside those of rrmctl. Default: experiments.",
+)]  # fmt: skip
+ScaleOption = Annotated[str | None, typer.Option(
+    autocompletion=_profiles,
+    help="Scale: paper, laptop, quickstart or smoke. Default: the manifest's, mostly paper.",
+)]  # fmt: skip
 SeedsOption = Annotated[
     str | None, typer.Option(metavar="N|LIST", help="10 means seeds 0 to 9; 0,3,7 means these; 4, means seed 4 alone.")
 ]
 TasksOption = Annotated[list[str] | None, typer.Option(metavar="A,B", help="Only these tasks of the experiment.")]
 MethodsOption = Annotated[list[str] | None, typer.Option(metavar="A,B", help="Only these methods of the experiment.")]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON for programs instead of a table.")]
-SetOption = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--set",
-        metavar="KEY=VALUE",
-        help="Change a setting of every run, e.g. agent.batch=256. Repeatable.",
-        autocompletion=_settings,
-    ),
-]
-PriorOption = Annotated[
-    list[str] | None,
-    typer.Option(
-        metavar="NAME|FILE.py:FUNCTION", help="Add the residual method on this prior to the experiment. Repeatable."
-    ),
-]
+SetOption = Annotated[list[str] | None, typer.Option(
+    "--set", metavar="KEY=VALUE", autocompletion=_settings,
+    help="Change a setting of every run, e.g. agent.batch=256. Repeatable.",
+)]  # fmt: skip
+PriorOption = Annotated[list[str] | None, typer.Option(
+    metavar="NAME|FILE.py:FUNCTION", help="Add the residual method on this prior to the experiment. Repeatable.",
+)]  # fmt: skip
 #: Silence after which a job counts as hung, minutes; a feedback session may take some.
 HANG_AFTER_MIN = 30.0
 
@@ -98,18 +78,13 @@ WorkersOption = Annotated[
     int | None,
     typer.Option("--workers", "-j", min=1, help="Jobs at a time, one core each. Default: every core there is."),
 ]
-MemoryOption = Annotated[
-    float | None,
-    typer.Option(min=0.1, metavar="GIB", help="A job that takes more is ended and goes on from its checkpoint."),
-]
-HangOption = Annotated[
-    float,
-    typer.Option(
-        min=0.01,
-        metavar="MINUTES",
-        help="A job that shows no progress for so long is ended and goes on from its checkpoint.",
-    ),
-]
+MemoryOption = Annotated[float | None, typer.Option(
+    min=0.1, metavar="GIB", help="A job that takes more is ended and goes on from its checkpoint.",
+)]  # fmt: skip
+HangOption = Annotated[float, typer.Option(
+    min=0.01, metavar="MINUTES",
+    help="A job that shows no progress for so long is ended and goes on from its checkpoint.",
+)]  # fmt: skip
 RetryOption = Annotated[bool, typer.Option("--retry-failed", help="Try failed runs again, from their checkpoint.")]
 UntilDecidedOption = Annotated[
     bool,

@@ -44,14 +44,10 @@ class Request:
         from rrmctl.planning.plan import make_plan
 
         return make_plan(
-            load(find(self.name, self.experiments)),
-            profile=self.profile,
-            seeds=self.seeds,
-            tasks=split_names(self.tasks),
-            methods=split_names(self.methods),
-            overrides=self.overrides or [],
-            priors=self.priors or [],
-        )
+            load(find(self.name, self.experiments)), profile=self.profile, seeds=self.seeds,
+            tasks=split_names(self.tasks), methods=split_names(self.methods),
+            overrides=self.overrides or [], priors=self.priors or [],
+        )  # fmt: skip
 
 
 @dataclass(frozen=True)
