@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING
 import typer
 
 from rrm.errors import RrmError
-from rrmctl.cli.options import default_experiments
 from rrmctl.cli.screen import tell
 from rrmctl.commands import rrmctl, run_commands
 from rrmctl.errors import Exit, UserError, room_error
@@ -133,27 +132,8 @@ def _commands(layout: Layout, sweep: SweepRecord, jobs: Sequence[JobRecord], opt
     from rrmctl.store.provenance import asked_by
 
     asked = [asked_by(layout.run(job.id)) for job in sweep.jobs]
-    priors = sweep.priors or _priors(sweep.experiment, sorted({job.method for job in jobs}))
-    asked.append([sweep.experiment, *(word for prior in priors for word in ("--prior", prior))])
+    asked.append([sweep.experiment, *(word for prior in sweep.priors for word in ("--prior", prior))])
     wanted = [(job.task, job.method, job.seed) for job in jobs]
     return run_commands(
         sweep.experiment, sweep.profile, sweep.overrides, wanted, asked=asked, options=options, results=layout.root
     )
-
-
-def _priors(experiment: str, methods: Iterable[str]) -> list[str]:
-    """The priors of methods that are not in the experiment's manifest and whose names say their prior.
-
-    Records of earlier programs do not say which --prior there was.
-    """
-    from rrmctl.planning.experiments import find
-    from rrmctl.planning.grid import rows_of
-    from rrmctl.planning.manifest import load
-    from rrmctl.planning.methods import grammar
-
-    try:
-        own = {row.method for row in rows_of(load(find(experiment, default_experiments())))}
-    except UserError:
-        return []
-    priors = {method: str(grammar().get(method, ("", None))[1]) for method in methods if method not in own}
-    return [prior for method, prior in priors.items() if method == f"rrm-{prior}"]
