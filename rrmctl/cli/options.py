@@ -13,21 +13,15 @@ from rrm.files import place
 from rrmctl.commands import DEFAULT_RESULTS as DEFAULT_RESULTS  # noqa: PLC0414 (for the commands)
 from rrmctl.errors import UserError
 
-
-def default_experiments() -> Path | None:
-    """The folder of the user's manifests without --experiments; None for the one that need not be there."""
-    folder = os.environ.get("RRMCTL_EXPERIMENTS")
-    return place(folder) if folder else None
-
-
 # For the shell, which picks those that start with what was typed.
 
 
 def _experiments() -> list[str]:
     from rrmctl.planning.experiments import available
 
+    folder = os.environ.get("RRMCTL_EXPERIMENTS")
     with contextlib.suppress(UserError):  # no such folder
-        return list(available(default_experiments()))
+        return list(available(place(folder) if folder else None))
     return []
 
 

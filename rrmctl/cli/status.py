@@ -67,19 +67,18 @@ def status(
         return _View(layout, sweeps, states, groups, Group("all", list(jobs.values()), states))
 
     view = look()
-    shown = _View.failures if failed else _View.table
     if not watch:
-        typer.echo(json.dumps(view.as_json())) if as_json else stdout_console().print(shown(view))
+        typer.echo(json.dumps(view.as_json())) if as_json else stdout_console().print(view.shown(failed=failed))
         return
     from rich.live import Live
 
     said = None
     at_terminal = sys.stdout.isatty() and not as_json
-    live = Live(shown(view), console=stdout_console(), auto_refresh=False) if at_terminal else contextlib.nullcontext()
+    live = Live(console=stdout_console(), auto_refresh=False) if at_terminal else contextlib.nullcontext()
     with contextlib.suppress(KeyboardInterrupt), live as display:  # how one leaves it
         while True:
             if display is not None:
-                display.update(shown(view), refresh=True)
+                display.update(view.shown(failed=failed), refresh=True)
             elif (line := json.dumps(view.as_json()) if as_json else view.line()) != said:
                 tell(line)
                 said = line
@@ -105,13 +104,16 @@ class _View:
         left = f", about {self.total.left} left" if self.total.left else ""
         return f"{counts} of {runs(len(self.total.jobs))}{left}"
 
-    def table(self) -> RenderableType:
-        """For people."""
+    def shown(self, *, failed: bool) -> RenderableType:
+        """For people: the table, or the runs that failed."""
+        if not self.sweeps:
+            return f"{self.layout.root} holds no sweep yet. Begin one: {self._command('run', 'quickstart')}"
+        return self._failures() if failed else self._table()
+
+    def _table(self) -> RenderableType:
         from rich.console import Group as Stack
         from rich.table import Table
 
-        if not self.sweeps:
-            return self._nothing()
         table = Table(box=None, pad_edge=False)
         shown = [state for state in STATES if self.total.counts[state] or state == "done"]
         table.add_column(self.groups[0].heading)
@@ -121,9 +123,6 @@ class _View:
             counts = (str(group.counts[state] or "-") for state in shown)
             table.add_row(group.name, *counts, str(len(group.jobs)), group.left)
         return Stack(table, "", self.line(), *self._hints())
-
-    def _nothing(self) -> str:
-        return f"{self.layout.root} holds no sweep yet. Begin one: {self._command('run', 'quickstart')}"
 
     def _hints(self) -> Iterator[str]:
         if self.total.counts["failed"] or self.total.counts["unreadable"]:
@@ -145,12 +144,9 @@ class _View:
     def _command(self, *words: str) -> str:
         return rrmctl(*words, results=self.layout.root)
 
-    def failures(self) -> RenderableType:
-        """The runs that failed, by what went wrong."""
+    def _failures(self) -> RenderableType:
         from rich.text import Text
 
-        if not self.sweeps:
-            return self._nothing()
         if not (failed := errors(self.total.jobs, self.states)):
             return Text("No run failed.")
         lines = Text()
