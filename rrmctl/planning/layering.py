@@ -26,7 +26,7 @@ from rrmctl.planning.manifest import DEFAULT_FEEDBACK, Manifest
 from rrmctl.planning.methods import TASK, Method
 from rrmctl.planning.profiles import PAPER, PATH, ProfileKind, profiles
 from rrmctl.planning.schedules import Schedule
-from rrmctl.planning.settings import Layer, fields, resolve
+from rrmctl.planning.settings import Layer, fields, merged, resolve
 
 #: Settings that say how long, how often and how much: the ones a profile shrinks in a manifest's numbers.
 AMOUNTS = (
@@ -125,17 +125,11 @@ def _layer(manifest: Manifest, kind: str, name: str) -> Layer:
 @cache
 def _ratios(scale: str, task: str, kind: ProfileKind) -> dict[str, tuple[int, int]]:
     """For each amount (the profile's number, the paper's number); their quotient scales a manifest's."""
-    ours, paper = _amounts(scale, task, kind), _amounts(PAPER, task, kind)
+    defaults = {name: fields()[name].default for name in AMOUNTS}
+    defaults["steps"] = 1  # a task of which no profile knows the length is not scaled
+    ours, paper = (defaults | merged(profile_layers(name, task, kind)) for name in (scale, PAPER))
     total = (ours["steps"], paper["steps"])
     return {name: (ours[name], paper[name]) if paper[name] else total for name in AMOUNTS}
-
-
-def _amounts(scale: str, task: str, kind: ProfileKind) -> dict[str, int]:
-    amounts = {name: fields()[name].default for name in AMOUNTS}
-    amounts["steps"] = 1  # a task of which no profile knows the length is not scaled
-    for layer in profile_layers(scale, task, kind):
-        amounts |= layer.settings
-    return amounts
 
 
 def _scaled(layer: Layer, ratios: Mapping[str, tuple[int, int]], scale: str) -> Layer:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from itertools import chain
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -170,7 +170,8 @@ def load(path: Path) -> Manifest:
 
 def parse(table: Mapping[str, Any], path: Path) -> Manifest:
     """The manifest that `table`, read from `path`, describes. Raises `UserError` as `load` does."""
-    _check_keys(table, _KEYS, str(path))
+    for key in table:
+        check_known(key, sorted(_KEYS), f'{path}: unknown key "{key}"', "known keys")
     if "grid" not in table:
         raise UserError(f"{path}: there is no [grid]", "add [grid] with tasks = [...] and methods = [...]")
     try:
@@ -178,16 +179,11 @@ def parse(table: Mapping[str, Any], path: Path) -> Manifest:
     except ValidationError as error:
         mistakes = error.errors(include_url=False)
     several = isinstance(table["grid"], list)
-    for *place, key in (mistake["loc"] for mistake in mistakes if mistake["type"] == "extra_forbidden"):
+    for *place, wrong in (mistake["loc"] for mistake in mistakes if mistake["type"] == "extra_forbidden"):
         model = Include if "include" in place else GridRows if "exclude" in place else Grid
-        where = f"{path} [[grid]] {int(place[1]) + 1}" if several else f"{path} [grid]"
-        _check_keys([str(key)], model.model_fields, " ".join([where, *map(str, place[2:3])]))
+        where = " ".join([f"[[grid]] {int(place[1]) + 1}" if several else "[grid]", *map(str, place[2:3])])
+        check_known(str(wrong), sorted(model.model_fields), f'{path} {where}: unknown key "{wrong}"', "known keys")
     raise UserError("\n".join(_explained(mistakes, path, table.get("seeds"))))
-
-
-def _check_keys(keys: Iterable[str], known: Iterable[str], where: str) -> None:
-    for key in keys:
-        check_known(key, sorted(known), f'{where}: unknown key "{key}"', "known keys")
 
 
 def _explained(mistakes: Sequence[ErrorDetails], path: Path, seeds: Any) -> dict[str, None]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
 from typing import Annotated, Any, Self, get_args
@@ -128,7 +128,12 @@ def _checked(name: str, value: Any, where: str) -> Any:
     return checked
 
 
-def resolve(layers: Iterable[Layer], cell: str, **decided: Any) -> RunConfig:
+def merged(layers: Iterable[Layer]) -> dict[str, Any]:
+    """The settings of all layers, later ones winning."""
+    return {name: value for layer in layers for name, value in layer.settings.items()}
+
+
+def resolve(layers: Sequence[Layer], cell: str, **decided: Any) -> RunConfig:
     """One configuration out of layers, later ones winning.
 
     Settings that do not go together (a segment longer than an episode, feedback after the end) are refused; the hint
@@ -138,11 +143,7 @@ def resolve(layers: Iterable[Layer], cell: str, **decided: Any) -> RunConfig:
         cell: what is being configured, for messages: file, task and method.
         decided: settings by dotted name that no layer may change.
     """
-    values: dict[str, Any] = {}
-    origin: dict[str, Layer] = {}
-    for layer in layers:
-        values |= layer.settings
-        origin |= dict.fromkeys(layer.settings, layer)
+    values, origin = merged(layers), {name: layer for layer in layers for name in layer.settings}
     if "steps" not in values:
         raise UserError(
             f"{cell}: no profile says how many steps this task takes", "set steps in the manifest's [defaults]"
