@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -141,7 +141,14 @@ def in_words(expected: Forecast, cores: int) -> str:
 
 def advise(console: Console, request: Request, expected: Forecast, least_hours: float) -> None:
     """Note what the plan will hardly be meant to do; where more core-hours are left, say how to pay less."""
-    notes = list(_unasked(expected.plan))
+    # Budgets that a run is too short to spend, those that fall short alike in one line.
+    short: defaultdict[str, dict[str, None]] = defaultdict(dict)
+    for job in {job.row: job for job in expected.plan.jobs}.values():  # every seed asks the same
+        config = job.config
+        if config.kind == "train" and config.feedback and (queries := config.queries()) < config.feedback.budget:
+            fit = f"{queries:,} of {config.feedback.budget:,} questions fit into {config.steps:,} steps"
+            short[fit][f"{job.task} {job.method}"] = None
+    notes = [f"{fit}: {', '.join(names)}" for fit, names in short.items()]
     threads, cores = max(job.config.threads for job in expected.plan.jobs), usable_cores()
     if threads > cores:
         notes.append(f"threads: {threads} for each run, on {cores} core{'s' if cores > 1 else ''}")
@@ -177,14 +184,3 @@ def smaller(request: Request, plan: Plan) -> list[str]:
             "a part of it: fewer --seeds, some --tasks or --methods; the rest can be added later, nothing runs twice"
         )
     return lines
-
-
-def _unasked(plan: Plan) -> Iterator[str]:
-    """Budgets of feedback that a run is too short to spend, those that fall short alike in one line."""
-    short: defaultdict[str, dict[str, None]] = defaultdict(dict)
-    for job in {job.row: job for job in plan.jobs}.values():  # every seed asks the same
-        config = job.config
-        if config.kind == "train" and config.feedback and (queries := config.queries()) < config.feedback.budget:
-            fit = f"{queries:,} of {config.feedback.budget:,} questions fit into {config.steps:,} steps"
-            short[fit][f"{job.task} {job.method}"] = None
-    return (f"{fit}: {', '.join(names)}" for fit, names in short.items())

@@ -26,7 +26,7 @@ from rrmctl.terminal import stdout_console
 if TYPE_CHECKING:
     from rich.console import RenderableType
 
-    from rrmctl.store.layout import Layout, RunFolder
+    from rrmctl.store.layout import Layout
     from rrmctl.store.status import Status
     from rrmctl.store.sweeps import SweepRecord
 
@@ -182,15 +182,22 @@ def clean(
     A run is left over when settings, a file of yours or the program changed and the experiment was run again, or when
     its sweep's record was removed. Runs under way stay.
     """
-    from rrmctl.store.reader import open_results
+    from rrmctl.store.reader import open_results, read_config, run_status
     from rrmctl.store.unused import remove, unused
 
     layout = open_results(results)
     sizes = {}
     for run in unused(layout):
-        files = (path for path in layout.run(run).path.rglob("*") if path.is_file())
+        folder = layout.run(run)
+        try:
+            config = read_config(folder)
+            label = Label(config["task"], config["method"]).seeded(config["seed"])
+            about = f"{config['profile']} {label}: {run_status(folder).state}"
+        except UserError as error:
+            about = str(error)
+        files = (path for path in folder.path.rglob("*") if path.is_file())
         sizes[run] = sum(path.lstat().st_size for path in files) / 1e6
-        typer.echo(f"{run}  {sizes[run]:8.1f} MB  {_described(layout.run(run))}")
+        typer.echo(f"{run}  {sizes[run]:8.1f} MB  {about}")
     if not yes:
         waiting = f"{runs(len(sizes))}, {sum(sizes.values()):.1f} MB. Nothing was removed; --yes removes them."
         typer.echo(waiting if sizes else "Every run is asked for by a sweep.")
@@ -199,15 +206,3 @@ def clean(
     for run in set(sizes) - set(gone):
         typer.echo(f"{run} is in use and stays")
     typer.echo(f"{runs(len(gone))}, {sum(sizes[run] for run in gone):.1f} MB: removed.")
-
-
-def _described(folder: RunFolder) -> str:
-    """What its configuration says it is, and where it stands."""
-    from rrmctl.store.reader import read_config, run_status
-
-    try:
-        config = read_config(folder)
-    except UserError as error:
-        return str(error)
-    label = Label(config["task"], config["method"]).seeded(config["seed"])
-    return f"{config['profile']} {label}: {run_status(folder).state}"
