@@ -1,7 +1,6 @@
-"""What a plan will cost, in core-hours: by the speed of runs of the same kind in the store, else by a table.
+"""What a plan will cost: by the speed of runs of the same kind in the store, else by the table costs.toml.
 
-Stored runs: steps over the median speed of the same task, method and variant. The table is costs.toml, beside this
-file; matrix products scale with the size of the networks and with the measured speed of this core. It is good to about
+Matrix products scale with the size of the networks and with the measured speed of this core. The table is good to about
 a factor of two. One job keeps one core busy.
 """
 
@@ -56,11 +55,7 @@ def core_speed() -> float:
 
 
 def tabled_seconds(config: Config, speed: float) -> float:
-    """Seconds of one run from nothing to its end on one core, by the table.
-
-    Args:
-        speed: of the core, in matrix products, over that of the table's.
-    """
+    """Seconds of one run from nothing to its end, by the table, on a core of this `core_speed`."""
     costs, spec = _costs(), config.spec()
     step = costs["step"].get(spec.name) or costs["step"].get(spec.suite, costs["step"]["unknown"])
     if config.kind == "demos":

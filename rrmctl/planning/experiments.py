@@ -15,10 +15,9 @@ OWN = Path("experiments")
 
 
 def available(folder: Path | None) -> dict[str, Path]:
-    """Every manifest by the experiment's name; one in the folder stands in place of a shipped one of its name.
+    """Every manifest by the experiment's name: the shipped ones, and before them those of the user's folder.
 
-    Args:
-        folder: of the user's manifests, which must be there; None for `OWN`, which need not.
+    A folder that is named must be there; None stands for `OWN`, which need not.
     """
     if folder is not None and not folder.is_dir():
         raise UserError(f"there is no folder {folder}", "name another with --experiments DIR or RRMCTL_EXPERIMENTS")

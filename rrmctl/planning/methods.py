@@ -61,13 +61,11 @@ def vocabulary() -> str:
 
 
 def method(name: str, own: Mapping[str, MethodTable], folder: Path, where: str) -> Method:
-    """The method of this name: the manifest's own if it defines one, else by the grammar.
-
-    Unknown methods, learners and priors are refused with the nearest known one, and files that do not hold them.
+    """The method of this name: the manifest's own if it defines one, else by the grammar; an unknown one is refused.
 
     Args:
         own: the manifest's [method.NAME] sections.
-        folder: the manifest's; files of users' code are named from there.
+        folder: the manifest's, where files of users' code are named from.
         where: the manifest, for messages.
     """
     section, table, names = f"{where} [method.{name}]", own.get(name, MethodTable()), grammar()

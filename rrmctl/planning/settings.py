@@ -162,10 +162,10 @@ def resolve(layers: Sequence[Layer], cell: str, **decided: Any) -> RunConfig:
     reason = mistake.get("ctx", {}).get("error")
     message = str(reason) if isinstance(reason, RrmError) else f"{'.'.join(map(str, mistake['loc']))}: {mistake['msg']}"
     name = message.partition(":")[0]
-    if name not in origin:
-        raise UserError(f"{cell}: {message}")
-    written = origin[name].written.get(name, repr(values[name]))
-    raise UserError(f"{cell}: {message}", f"{name} = {written} is set in {origin[name].where}")
+    hint = None
+    if (source := origin.get(name)) is not None:
+        hint = f"{name} = {source.written.get(name, repr(values[name]))} is set in {source.where}"
+    raise UserError(f"{cell}: {message}", hint)
 
 
 def config_version() -> int:
