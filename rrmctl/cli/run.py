@@ -169,7 +169,8 @@ def resume(
         _assignment(job, states[run], threads.get(run, 1), fresh=False) for run, job in left.items() if run not in gone
     ]
     require_trust(results, code_of_users, trust=trust, asks=_asks())
-    code = _train(screen, layout, assigned, workers or _slots(job.threads for job in assigned), memory, hang_after)
+    slots = workers or _slots(job.threads for job in assigned)
+    code = _train(screen, layout, assigned, slots, memory, hang_after)
     drain(screen.file)
     finish(layout, code, sweeps, damaged=bool(damage or gone))
 
