@@ -46,9 +46,7 @@ def grammar() -> dict[str, tuple[str, str | None]]:
     names: dict[str, tuple[str, str | None]] = {"oracle": ("true", None)}
     names |= {learner: (learner, None) for learner in LEARNERS}
     names |= {f"sac-{prior}": ("prior", prior) for prior in PRIORS}
-    names |= {
-        f"rrm-{learner}-{prior}": (learner, prior) for learner in LEARNERS if learner not in KINDS for prior in PRIORS
-    }
+    names |= {f"rrm-{base}-{prior}": (base, prior) for base in LEARNERS if base not in KINDS for prior in PRIORS}
     return names | {f"rrm-{prior}": (BASE_LEARNER, prior) for prior in PRIORS}
 
 
