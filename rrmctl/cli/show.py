@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from rrmctl.cli.options import DEFAULT_RESULTS, ResultsOption
-from rrmctl.cli.rerun import rerun_command
 from rrmctl.cli.status import note_damage
+from rrmctl.cli.summary import rerun_command
 from rrmctl.errors import UserError
 from rrmctl.store.schema import IDENTITY, MEASURED
 from rrmctl.terminal import stdout_console

@@ -16,7 +16,7 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner, Result
 
-from rrmctl.cli import introduction
+from rrmctl.cli import request as requests
 from rrmctl.cli.app import app
 from rrmctl.cli.request import Request, forecast
 from rrmctl.store import load, planned
@@ -106,9 +106,9 @@ def test_the_introduction_bears_profiles_that_cannot_hold_the_request(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """`run` advises on a large sweep without stumbling over other profiles, and notes a budget too large to spend."""
-    monkeypatch.setattr(introduction, "LARGE_H", 0.0)
+    monkeypatch.setattr(requests, "LARGE_H", 0.0)
     request = Request("toy-car", EXPERIMENTS, "smoke", overrides=["steps=450", "feedback.budget=1000000"])
-    introduction.introduce(console(sys.stderr), request, forecast(request.plan(), Layout(tmp_path)), slots=1)
+    requests.introduce(console(sys.stderr), request, forecast(request.plan(), Layout(tmp_path)), slots=1)
     said = capsys.readouterr().err
     assert "of 1,000,000 questions fit into 450 steps: toy-car pebble" in said
     assert "smaller: a part of it" in said
