@@ -14,8 +14,7 @@ from typing import Any
 from rrm.errors import RrmError
 from rrmctl.errors import UserError, check_known, shown
 from rrmctl.labels import NOTHING_ASKED, Label
-from rrmctl.planning.grid import AXES, GridRow, rows_of
-from rrmctl.planning.layering import check_names, check_sections, configure, feedback_label
+from rrmctl.planning.grid import AXES, GridRow, check_names, check_sections, configure, feedback_label, rows_of
 from rrmctl.planning.manifest import Manifest
 from rrmctl.planning.methods import Method, method, residual
 from rrmctl.planning.prerequisites import Config, supply

@@ -14,7 +14,8 @@ from pydantic.fields import FieldInfo
 
 from rrm.errors import RrmError, nearest
 from rrm.toml import NestingError, loads
-from rrm.training.run_config import CONFIG_VERSION, RunConfig
+from rrm.training.run_config import CONFIG_VERSION as CONFIG_VERSION  # noqa: PLC0414 (for reports, which know no rrm)
+from rrm.training.run_config import RunConfig
 from rrmctl.errors import UserError, shown
 from rrmctl.planning.toml import refuse_odd
 
@@ -166,11 +167,6 @@ def resolve(layers: Sequence[Layer], cell: str, **decided: Any) -> RunConfig:
     if (source := origin.get(name)) is not None:
         hint = f"{name} = {source.written.get(name, repr(values[name]))} is set in {source.where}"
     raise UserError(f"{cell}: {message}", hint)
-
-
-def config_version() -> int:
-    """Of the configurations that this program trains."""
-    return CONFIG_VERSION
 
 
 def parse_assignments(assignments: Iterable[str]) -> dict[str, Any]:
