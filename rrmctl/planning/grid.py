@@ -14,7 +14,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections import ChainMap
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from typing import Any, get_args
@@ -116,18 +116,23 @@ def _crossed(grid: Grid, where: str) -> list[GridRow]:
     return [GridRow(at["task"], at["method"], at["teacher"], at["feedback"], layer, own) for at in cells]
 
 
-def check_names(manifest: Manifest, row: GridRow) -> None:
-    """Refuse a task, teacher or schedule of feedback that nothing defines."""
-    for kind, name, known in (
-        ("task", row.task, TASKS),
-        ("teacher", row.teacher, {**TEACHERS, **manifest.teachers}),
-        ("feedback schedule", row.feedback, {DEFAULT_FEEDBACK, *manifest.feedback}),
-    ):
-        check_known(name, sorted(known), f'{manifest.path}: unknown {kind} "{name}"')
+def check(manifest: Manifest, rows: Sequence[GridRow]) -> None:
+    """Refuse unknown names, sections for names that the grid does not have, and settings that cannot be.
 
-
-def check_sections(manifest: Manifest) -> None:
-    """Check every setting of the manifest, also of sections and profiles that a plan does not use."""
+    Settings are checked also in sections and profiles that a plan does not use.
+    """
+    for row in rows:
+        for kind, name, defined in (
+            ("task", row.task, TASKS),
+            ("teacher", row.teacher, {**TEACHERS, **manifest.teachers}),
+            ("feedback schedule", row.feedback, {DEFAULT_FEEDBACK, *manifest.feedback}),
+        ):
+            check_known(name, sorted(defined), f'{manifest.path}: unknown {kind} "{name}"')
+    for axis, kind in AXES.items():
+        used = sorted({getattr(row, kind) for row in rows})
+        for name in getattr(manifest, axis):
+            problem = f"{manifest.path} [{kind}.{name}]: the grid has no {kind} of this name"
+            check_known(name, used, problem, "the grid has")
     for kind, field in _FIELDS.items():
         for name in getattr(manifest, field):
             _layer(manifest, kind, name)
@@ -204,11 +209,11 @@ def _ratios(scale: str, task: str, kind: ProfileKind) -> dict[str, tuple[int, in
 
 
 def _scaled(layer: Layer, ratios: Mapping[str, tuple[int, int]], scale: str) -> Layer:
-    shrunk = {}
-    for name in layer.settings.keys() & ratios.keys():
-        value, (ours, paper) = layer.settings[name], ratios[name]
-        # To the nearest integer; what was not zero stays so.
-        shrunk[name] = max((2 * value * ours + paper) // (2 * paper), min(value, 1))
-    written = {name: f"{layer.settings[name]!r}, {value!r} in profile {scale},"
-               for name, value in shrunk.items() if value != layer.settings[name]}  # fmt: skip
-    return Layer(layer.where, {**layer.settings, **shrunk}, written)
+    """The layer with its amounts as the profile has them, to the nearest integer; what was not zero stays so."""
+    settings, written = dict(layer.settings), {}
+    for name in settings.keys() & ratios.keys():
+        value, (ours, paper) = settings[name], ratios[name]
+        settings[name] = max((2 * value * ours + paper) // (2 * paper), min(value, 1))
+        if settings[name] != value:
+            written[name] = f"{value!r}, {settings[name]!r} in profile {scale},"
+    return Layer(layer.where, settings, written)

@@ -53,8 +53,7 @@ Names = Annotated[tuple[Name, ...], Field(min_length=1)]
 _Key = Annotated[str, AfterValidator(_plain)]  # two keys that differ in spaces alone must not become one
 Sections = dict[_Key, Settings]
 
-#: The teacher and the schedule of feedback that need no name in a manifest.
-DEFAULT_TEACHER = "oracle"
+#: The schedule of feedback that needs no section in a manifest.
 DEFAULT_FEEDBACK = "default"
 
 _EXPERIMENT_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,127}")  # it becomes a file's in the store
@@ -98,7 +97,7 @@ class Grid(_Frozen):
 
     tasks: Names
     methods: Names
-    teachers: Names = (DEFAULT_TEACHER,)
+    teachers: Names = ("oracle",)
     feedback: Names = (DEFAULT_FEEDBACK,)  #: names of [feedback.NAME] sections
     zip: tuple[Annotated[tuple[Axis, ...], Field(min_length=2)], ...] = ()  #: axes that advance together
     include: tuple[Include, ...] = ()
@@ -156,11 +155,7 @@ _KEYS = {described.alias or name for name, described in Manifest.model_fields.it
 
 
 def load(path: Path) -> Manifest:
-    """Read and check one manifest.
-
-    Raises:
-        UserError: unreadable file, unknown key, wrong type, empty list; the message names file and key.
-    """
+    """Read and check one manifest; a `UserError` names file and key."""
     if not _EXPERIMENT_NAME.fullmatch(path.stem):
         raise UserError(
             f"{path}: an experiment's name is made of letters, digits, - and _, at most 128 in all", "rename the file"

@@ -61,10 +61,7 @@ def vocabulary() -> str:
 def method(name: str, own: Mapping[str, MethodTable], folder: Path, where: str) -> Method:
     """The method of this name: the manifest's own if it defines one, else by the grammar; an unknown one is refused.
 
-    Args:
-        own: the manifest's [method.NAME] sections.
-        folder: the manifest's, where files of users' code are named from.
-        where: the manifest, for messages.
+    Files of users' code are named from `folder`; messages call the manifest `where`.
     """
     section, table, names = f"{where} [method.{name}]", own.get(name, MethodTable()), grammar()
     if table.learner is None and table.prior is None:
