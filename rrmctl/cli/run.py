@@ -112,8 +112,7 @@ def run(
         return _train(screen, layout, assigned, slots, memory, hang_after), sweep
 
     drain(screen.file)
-    large = expected.hours_left > LARGE_H
-    large = large and any(wanted(job, expected.states[job.id]) for job in plan.everything)
+    large = expected.hours_left > LARGE_H and any(wanted(job, expected.states[job.id]) for job in plan.everything)
     if large and not yes and _asks() and not typer.confirm("Start?", err=True):
         raise typer.Exit(Exit.INCOMPLETE)
     code, sweep = until_decided(layout, plan, rules, execute) if rules else execute(plan)
@@ -162,18 +161,16 @@ def resume(
     gone = unconfigured(layout, left.values())
     for command in remaking_commands(layout, sweeps, gone, states):
         screen.print(f"configurations are missing; this makes them, and the runs: {command}", soft_wrap=True)
-    threads: dict[str, int] = {}
+    assigned: dict[Job, Terms] = {}
     code_of_users: dict[str, str] = {}  # digests by path
-    for run in left:
+    for run, job in left.items():
+        threads = 1
         with contextlib.suppress(UserError):  # the run's own worker refuses it with this message; the others go on
             config = read_config(layout.run(run))
             code_of_users |= code_files(config)
-            threads[run] = int(config["threads"])
-    assigned = {
-        job: Terms(threads=threads.get(run, 1), attempt=states[run].attempt)
-        for run, job in left.items()
-        if run not in gone
-    }
+            threads = int(config["threads"])
+        if run not in gone:
+            assigned[job] = Terms(threads=threads, attempt=states[run].attempt)
     require_trust(results, code_of_users, trust=trust, asks=_asks())
     slots = workers or _slots(terms.threads for terms in assigned.values())
     code = _train(screen, layout, assigned, slots, memory, hang_after)
@@ -222,25 +219,17 @@ def _record(console: Console, layout: Layout, plan: Plan) -> SweepRecord:
 
 
 def _train(
-    console: Console,
-    layout: Layout,
-    assigned: Mapping[Job, Terms],
-    slots: int,
-    memory_gib: float | None,
-    hang_after_min: float,
+    console: Console, layout: Layout, assigned: Mapping[Job, Terms], slots: int, memory: float | None, hang_after: float
 ) -> Exit:
-    """Run the jobs, shown as bars at a terminal and as lines elsewhere."""
+    """Run the jobs, shown as bars at a terminal and as lines elsewhere. Memory in GiB, `hang_after` in minutes."""
     from rrmctl.cli.live import Bars, Lines
     from rrmctl.running.local import LocalExecutor
     from rrmctl.running.supervisor import Supervisor
 
     if not assigned:
         return Exit.DONE
-    executor = LocalExecutor(
-        layout=layout,
-        memory_limit=None if memory_gib is None else int(memory_gib * 2**30),
-        hang_after_s=hang_after_min * 60.0,
-    )
+    memory_limit = None if memory is None else int(memory * 2**30)
+    executor = LocalExecutor(layout=layout, memory_limit=memory_limit, hang_after_s=hang_after * 60.0)
     watched = sys.stderr.isatty() and not console.is_dumb_terminal
     watcher = (Bars if watched else Lines)(console, layout, list(assigned))
     with watcher.progress if isinstance(watcher, Bars) else contextlib.nullcontext():

@@ -99,9 +99,8 @@ class _View:
         """For people: the table, or the runs that failed."""
         if not self.store.sweeps:
             return f"{self.store.layout.root} holds no sweep yet. Begin one: {self._command('run', 'quickstart')}"
-        return self._failures() if failed else self._table()
-
-    def _table(self) -> RenderableType:
+        if failed:
+            return self._failures()
         from rich.console import Group as Stack
         from rich.table import Table
 

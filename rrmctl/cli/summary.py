@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import shlex
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import partial
 from typing import TYPE_CHECKING
 
@@ -37,16 +38,18 @@ def finish(
 
     command = partial(rrmctl, results=layout.root)
     names = list(dict.fromkeys(sweep.experiment for sweep in sweeps))
-    states = {
-        status.state for status in statuses(layout, (job for sweep in sweeps for job in sweep.everything)).values()
-    }
+    status_of = statuses(layout, (job for sweep in sweeps for job in sweep.everything))
+    states = {status.state for status in status_of.values()}
     lost: list[tuple[str, str]] = []
     if code is not Exit.INTERRUPTED and "done" in states:
-        _afterwards("not every curve was looked at", command("resume"), lambda: lost.extend(_lost(layout, sweeps)))
+        with _afterwards("not every curve was looked at", later=command("resume")):
+            lost.extend(_lost(layout, sweeps, status_of))
         for name in (name for name in names if name not in dict(lost)):
-            _afterwards(
-                f"aggregates/{name}.parquet was not written", command("resume", name), partial(_aggregate, layout, name)
-            )
+            with _afterwards(f"aggregates/{name}.parquet was not written", later=command("resume", name)):
+                from rrmctl.reports.iqm_curves import write_curves
+                from rrmctl.reports.select import read_sections
+
+                write_curves(layout, read_sections(layout.root, name))
     for _, line in lost:
         tell(line)
     if code is Exit.DONE and (lost or damaged or "failed" in states):
@@ -69,36 +72,27 @@ def finish(
     raise typer.Exit(code)
 
 
-def _afterwards(undone: str, later: str, do: Callable[[], None]) -> None:
-    """Do what may fail for any reason, and say then what is left undone and which command does it later."""
+@contextlib.contextmanager
+def _afterwards(undone: str, *, later: str) -> Iterator[None]:
+    """Of what may fail for any reason: a line says then what is left undone, and which command does it later."""
     try:
-        do()
+        yield
     except Exception as error:
         what = room_error(error) or error
         words = str(what) if isinstance(what, UserError | RrmError) else f"{type(what).__name__}: {what}"
         tell(f"note: {undone}: {words}; later: {later}", err=True)
 
 
-def _lost(layout: Layout, sweeps: Iterable[SweepRecord]) -> Iterator[tuple[str, str]]:
+def _lost(layout: Layout, sweeps: Iterable[SweepRecord], status_of: Mapping[str, Status]) -> Iterator[tuple[str, str]]:
     """The experiment, and a line for each run that is done and whose curve is not all there."""
     from rrmctl.store.curve import lost_rows
-    from rrmctl.store.status import run_status
 
     jobs = {job.id: (sweep, job) for sweep in sweeps for job in sweep.jobs}
     for sweep, job in jobs.values():
-        folder = layout.run(job.id)
-        status = run_status(folder)
-        if status.state == "done" and (problem := lost_rows(folder, status)) is not None:
+        status = status_of[job.id]
+        if status.state == "done" and (problem := lost_rows(layout.run(job.id), status)) is not None:
             again = f"Bring the file back, or train it again: {rerun_command(layout, sweep, job)}"
             yield sweep.experiment, f"{job.label} is done, but {problem}. {again}"
-
-
-def _aggregate(layout: Layout, name: str) -> None:
-    """Write an experiment's `aggregates/NAME.parquet`."""
-    from rrmctl.reports.iqm_curves import write_curves
-    from rrmctl.reports.select import read_sections
-
-    write_curves(layout, read_sections(layout.root, name))
 
 
 def rerun_command(layout: Layout, sweep: SweepRecord, job: Job) -> str:

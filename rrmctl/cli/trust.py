@@ -43,15 +43,9 @@ def remember(digests: Iterable[str]) -> None:
 
 
 def require_trust(root: Path, code: Mapping[str, str], *, trust: bool, asks: bool) -> None:
-    """See that the user wants code to be run, and take note of it.
+    """See that the user wants code to be run, digests by path, and take note of it; a `UserError` where nobody said so.
 
-    Args:
-        code: digests of files, by path.
-        trust: it was said beforehand.
-        asks: there is a person to ask, who may leave.
-
-    Raises:
-        UserError: nobody said so.
+    `trust`: it was said beforehand. `asks`: there is a person to ask, who may leave.
     """
     trusted = _trusted()
     foreign = [path for path, digest in code.items() if digest not in trusted]

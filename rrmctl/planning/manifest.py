@@ -18,7 +18,6 @@ from pydantic import (
     AfterValidator,
     BaseModel,
     BeforeValidator,
-    ConfigDict,
     Field,
     StrictInt,
     StringConstraints,
@@ -59,11 +58,7 @@ DEFAULT_FEEDBACK = "default"
 _EXPERIMENT_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,127}")  # it becomes a file's in the store
 
 
-class _Frozen(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-
-class GridRows(_Frozen):
+class GridRows(BaseModel, frozen=True, extra="forbid"):
     """Some rows of a grid: those that agree with every name given here."""
 
     task: Name | None = None
@@ -92,7 +87,7 @@ class Include(GridRows):
     set: Settings = {}  #: settings of these rows alone
 
 
-class Grid(_Frozen):
+class Grid(BaseModel, frozen=True, extra="forbid"):
     """Axes that are crossed with one another."""
 
     tasks: Names
@@ -115,19 +110,14 @@ class Grid(_Frozen):
         return names
 
 
-class MethodTable(_Frozen, extra="allow"):
+class MethodTable(BaseModel, frozen=True, extra="allow"):
     """A method of the manifest's own, or settings of a known one: whatever is neither learner nor prior."""
 
     learner: Text | None = None  #: a learner's name, `true`, `prior`, or `file.py:Class`
     prior: Text | None = None  #: a prior's name, or `file.py:function`
 
-    @property
-    def settings(self) -> Settings:
-        """Of its runs."""
-        return self.model_extra or {}
 
-
-class Manifest(_Frozen):
+class Manifest(BaseModel, frozen=True, extra="forbid"):
     """One experiment. Settings are at the paper's scale; `rrmctl.planning.plan` says how profiles scale them."""
 
     name: str  #: the file's stem
@@ -151,9 +141,6 @@ class Manifest(_Frozen):
     profiles: Sections = Field({}, alias="profile")  #: [profile.NAME]: taken as they stand, not scaled
 
 
-_KEYS = {described.alias or name for name, described in Manifest.model_fields.items()} - {"name", "path"}
-
-
 def load(path: Path) -> Manifest:
     """Read and check one manifest; a `UserError` names file and key."""
     if not _EXPERIMENT_NAME.fullmatch(path.stem):
@@ -165,8 +152,9 @@ def load(path: Path) -> Manifest:
 
 def parse(table: Mapping[str, Any], path: Path) -> Manifest:
     """The manifest that `table`, read from `path`, describes. Raises `UserError` as `load` does."""
+    keys = {described.alias or name for name, described in Manifest.model_fields.items()} - {"name", "path"}
     for key in table:
-        check_known(key, sorted(_KEYS), f'{path}: unknown key "{key}"', "known keys")
+        check_known(key, sorted(keys), f'{path}: unknown key "{key}"', "known keys")
     if "grid" not in table:
         raise UserError(f"{path}: there is no [grid]", "add [grid] with tasks = [...] and methods = [...]")
     try:

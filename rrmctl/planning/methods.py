@@ -64,13 +64,14 @@ def method(name: str, own: Mapping[str, MethodTable], folder: Path, where: str) 
     Files of users' code are named from `folder`; messages call the manifest `where`.
     """
     section, table, names = f"{where} [method.{name}]", own.get(name, MethodTable()), grammar()
+    settings = table.model_extra or {}
     if table.learner is None and table.prior is None:
         if name not in names:
             raise UserError(
                 f'{where}: unknown method "{name}"{nearest(name, {*names, *own})}',
                 f"known: {', '.join(sorted(names))}; or define it in [method.{name}] with learner and prior",
             )
-        return Method(name, *names[name], table.settings)
+        return Method(name, *names[name], settings)
     learners = {*LEARNERS, *(learner for learner, kind in KINDS.items() if kind.known)}
     learner = _named(table.learner or BASE_LEARNER, "learner", learners, folder, section)
     prior = None if table.prior is None else _named(table.prior, "prior", PRIORS, folder, section)
@@ -79,7 +80,7 @@ def method(name: str, own: Mapping[str, MethodTable], folder: Path, where: str) 
         raise UserError(f'{section}: the learner "prior" trains on a prior alone; name it with prior = "..."')
     if kind is KNOWN and prior is not None:
         raise UserError(f'{section}: the learner "true" is the true reward and takes no prior')
-    return Method(name, learner, prior, table.settings)
+    return Method(name, learner, prior, settings)
 
 
 def residual(prior: str, folder: Path) -> Method:
