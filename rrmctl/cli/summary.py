@@ -30,8 +30,8 @@ def finish(
 
     Args:
         code: as the pool ended.
-        sweeps: what the command was about; of each, the jobs it was about.
-        damaged: a sweep the command was about could not be read, so that nobody knows whether all is done.
+        sweeps: what the command was about.
+        damaged: a sweep could not be read, so that nobody knows whether all is done.
         closing: of the manifest, said where all is done.
     """
     from rrmctl.store.status import statuses

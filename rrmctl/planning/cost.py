@@ -26,8 +26,7 @@ _COSTS = read_toml(Path(__file__).with_name("costs.toml"))
 def estimate_seconds(plan: Plan, speeds: Mapping[tuple[str, str, str], float]) -> dict[str, float]:
     """What every job of a plan takes on a core of its own, from nothing to the end, by id.
 
-    Args:
-        speeds: of stored runs, in environment steps per second by task, method and variant, evaluation included.
+    Stored runs have their speeds, evaluation included, in steps per second by task, method and variant.
     """
     seconds: dict[str, float] = {}
     tabled: dict[tuple[str, ...], float] = {}

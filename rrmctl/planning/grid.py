@@ -141,11 +141,7 @@ def check(manifest: Manifest, rows: Sequence[GridRow]) -> None:
 
 
 def configure(manifest: Manifest, row: GridRow, method: Method, scale: str, overrides: Mapping[str, Any]) -> RunConfig:
-    """The configuration of the row's runs, with seed 0, in the profile `scale` and with overrides of `--set`.
-
-    Raises:
-        UserError: unknown key, wrong type, or settings that cannot be run together; names file, section and key.
-    """
+    """The configuration of the row's runs, with seed 0, in the profile `scale` and with overrides of `--set`."""
     decided = {"task": row.task, "seed": 0, "profile": scale, "reward.learner": method.learner}
     if method.prior is not None:
         decided["reward.prior"] = method.prior.replace(TASK, row.task)

@@ -19,7 +19,7 @@ from rrmctl.planning.manifest import Manifest
 from rrmctl.planning.methods import Method, method, residual
 from rrmctl.planning.prerequisites import Config, supply
 from rrmctl.planning.profiles import profiles
-from rrmctl.planning.settings import check_assignments, parse_assignments
+from rrmctl.planning.settings import parse_assignments
 from rrmctl.store.sweeps import Job, SweepRecord
 
 _MOST_SEEDS = 10_000
@@ -45,7 +45,7 @@ def make_plan(
     seeds: str | int | Sequence[int] | None = None,
     tasks: Sequence[str] | None = None,
     methods: Sequence[str] | None = None,
-    overrides: Mapping[str, Any] | Iterable[str] = (),
+    overrides: Iterable[str] = (),
     priors: Sequence[str] = (),
 ) -> Plan:
     """The jobs of an experiment.
@@ -55,7 +55,7 @@ def make_plan(
         profile: its scale; None is the manifest's own default.
         seeds: "10", "0,3,7", a number or a list; None is the manifest's.
         tasks, methods: only these, of those the manifest has.
-        overrides: settings by dotted name, or `key=value` texts as typed after `--set`.
+        overrides: settings, `key=value` as typed after `--set`.
         priors: residual methods on these priors beside the manifest's methods: names, or `file.py:function` as seen
             from the folder the command runs in.
 
@@ -65,7 +65,7 @@ def make_plan(
     where = "--profile" if profile is not None else f"{manifest.path}: default_profile"
     scale = manifest.default_profile if profile is None else profile
     check_known(scale, profiles(), f'{where}: unknown profile "{scale}"')
-    settings = check_assignments(overrides) if isinstance(overrides, Mapping) else parse_assignments(overrides)
+    settings = parse_assignments(overrides)
     numbers = parse_seeds(manifest.seeds, f"{manifest.path}: seeds") if seeds is None else parse_seeds(seeds, "--seeds")
     rows = rows_of(manifest)
     own = {row.method: method(row.method, manifest.methods, manifest.path.parent, str(manifest.path)) for row in rows}

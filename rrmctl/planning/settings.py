@@ -135,14 +135,10 @@ def merged(layers: Iterable[Layer]) -> dict[str, Any]:
 
 
 def resolve(layers: Sequence[Layer], cell: str, **decided: Any) -> RunConfig:
-    """One configuration out of layers, later ones winning.
+    """The configuration of a cell (for messages: file, task and method), later layers winning, `decided` over all.
 
     Settings that do not go together (a segment longer than an episode, feedback after the end) are refused; the hint
     names the layer that the offending one came from.
-
-    Args:
-        cell: what is being configured, for messages: file, task and method.
-        decided: settings by dotted name that no layer may change.
     """
     values, origin = merged(layers), {name: layer for layer in layers for name in layer.settings}
     if "steps" not in values:
@@ -179,11 +175,6 @@ def parse_assignments(assignments: Iterable[str]) -> dict[str, Any]:
             raise UserError(f"{where}: expected KEY=VALUE, e.g. --set agent.batch=256")
         settings[key.strip()] = _value(value.strip(), where)
     refuse_odd(settings, "--set")
-    return check_assignments(settings)
-
-
-def check_assignments(settings: Mapping[str, Any]) -> dict[str, Any]:
-    """Overrides by dotted name, each checked."""
     for name, value in settings.items():
         if name in _sections():
             inside = value if isinstance(value, dict) else ()
