@@ -112,8 +112,7 @@ def _crossed(grid: Grid, where: str) -> list[GridRow]:
         choices.append([dict(zip(places, names, strict=True)) for names in zip(*values, strict=True)])
     _refuse_many(math.prod(map(len, choices)) * (1 + len(grid.include)), where)
     layer, own = Layer.read(f"{where} set", grid.set), Layer(f"{where} include", {})
-    cells = (ChainMap(*parts) for parts in itertools.product(*choices))
-    return [GridRow(at["task"], at["method"], at["teacher"], at["feedback"], layer, own) for at in cells]
+    return [GridRow(**ChainMap(*names), grid=layer, own=own) for names in itertools.product(*choices)]
 
 
 def check(manifest: Manifest, rows: Sequence[GridRow]) -> None:

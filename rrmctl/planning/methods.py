@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Collection, Mapping
+from collections.abc import Collection
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -15,7 +15,7 @@ from rrm.priors.language import is_frozen
 from rrm.registry import check_file, is_file_reference
 from rrm.rewards import LEARNERS
 from rrmctl.errors import UserError
-from rrmctl.planning.manifest import MethodTable, Settings
+from rrmctl.planning.manifest import Manifest, MethodTable, Settings
 from rrmctl.planning.profiles import ProfileKind
 
 #: The learner that a residual method's name leaves out.
@@ -58,17 +58,14 @@ def vocabulary() -> str:
     )
 
 
-def method(name: str, own: Mapping[str, MethodTable], folder: Path, where: str) -> Method:
-    """The method of this name: the manifest's own if it defines one, else by the grammar; an unknown one is refused.
-
-    Files of users' code are named from `folder`; messages call the manifest `where`.
-    """
-    section, table, names = f"{where} [method.{name}]", own.get(name, MethodTable()), grammar()
-    settings = table.model_extra or {}
+def method(name: str, manifest: Manifest) -> Method:
+    """The method of this name: the manifest's own if it defines one, else by the grammar; an unknown one is refused."""
+    table, names = manifest.methods.get(name, MethodTable()), grammar()
+    section, folder, settings = f"{manifest.path} [method.{name}]", manifest.path.parent, table.model_extra or {}
     if table.learner is None and table.prior is None:
         if name not in names:
             raise UserError(
-                f'{where}: unknown method "{name}"{nearest(name, {*names, *own})}',
+                f'{manifest.path}: unknown method "{name}"{nearest(name, {*names, *manifest.methods})}',
                 f"known: {', '.join(sorted(names))}; or define it in [method.{name}] with learner and prior",
             )
         return Method(name, *names[name], settings)

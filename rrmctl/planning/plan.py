@@ -68,7 +68,7 @@ def make_plan(
     settings = parse_assignments(overrides)
     numbers = parse_seeds(manifest.seeds, f"{manifest.path}: seeds") if seeds is None else parse_seeds(seeds, "--seeds")
     rows = rows_of(manifest)
-    own = {row.method: method(row.method, manifest.methods, manifest.path.parent, str(manifest.path)) for row in rows}
+    own = {row.method: method(row.method, manifest) for row in rows}
     check(manifest, rows)
     rows = _only(rows, "task", tasks, manifest)
     added = _added(priors, own)
