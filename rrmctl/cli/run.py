@@ -140,42 +140,38 @@ def resume(
     """
     from rrmctl.running.config_file import code_files
     from rrmctl.running.supervisor import Terms
-    from rrmctl.store.layout import open_results
     from rrmctl.store.provenance import read_config
-    from rrmctl.store.status import statuses
-    from rrmctl.store.sweeps import find_sweeps, readable_sweeps
+    from rrmctl.store.snapshot import Snapshot
 
     screen = console(unfailing(sys.stderr))
-    layout = open_results(results)
-    sweeps, damage = readable_sweeps(layout) if name is None else (find_sweeps(layout, name), [])
-    note_damage(damage)
-    if not sweeps:
+    store = Snapshot(results, name, lenient=True)
+    note_damage(store.damage)
+    if not store.sweeps:
         begin = rrmctl("run", "quickstart", results=results)
         raise UserError(f"{results} holds no sweep", f"begin one, such as `{begin}`; `rrmctl list` shows the names")
-    jobs = {job.id: job for sweep in sweeps for job in sweep.everything}
-    states = statuses(layout, jobs.values())
-    left = {run: job for run, job in jobs.items() if _is_open(states[run], retry_failed=retry_failed)}
-    for sweep in sweeps:
+    jobs = {job.id: job for sweep in store.sweeps for job in sweep.everything}
+    left = {run: job for run, job in jobs.items() if _is_open(store.states[run], retry_failed=retry_failed)}
+    for sweep in store.sweeps:
         count, total = sum(job.id in left for job in sweep.everything), runs(len(sweep.everything))
         screen.print(f"{sweep.experiment} ({sweep.variant}): {count} of {total} to go", soft_wrap=True)
-    gone = unconfigured(layout, left.values())
-    for command in remaking_commands(layout, sweeps, gone, states):
+    gone = unconfigured(store.layout, left.values())
+    for command in remaking_commands(store, gone):
         screen.print(f"configurations are missing; this makes them, and the runs: {command}", soft_wrap=True)
     assigned: dict[Job, Terms] = {}
     code_of_users: dict[str, str] = {}  # digests by path
     for run, job in left.items():
         threads = 1
         with contextlib.suppress(UserError):  # the run's own worker refuses it with this message; the others go on
-            config = read_config(layout.run(run))
+            config = read_config(store.layout.run(run))
             code_of_users |= code_files(config)
             threads = int(config["threads"])
         if run not in gone:
-            assigned[job] = Terms(threads=threads, attempt=states[run].attempt)
+            assigned[job] = Terms(threads=threads, attempt=store.states[run].attempt)
     require_trust(results, code_of_users, trust=trust, asks=_asks())
     slots = workers or _slots(terms.threads for terms in assigned.values())
-    code = _train(screen, layout, assigned, slots, memory, hang_after)
+    code = _train(screen, store.layout, assigned, slots, memory, hang_after)
     drain(screen.file)
-    finish(layout, code, sweeps, damaged=bool(damage or gone))
+    finish(store.layout, code, store.sweeps, damaged=bool(store.damage or gone))
 
 
 def _slots(threads: Iterable[int]) -> int:

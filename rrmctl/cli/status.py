@@ -128,7 +128,7 @@ class _View:
         gone = unconfigured(self.store.layout, jobs)
         if not self.total.counts["running"] and len(jobs) > len(gone):
             yield f"Nothing is running; this goes on: {self._command('resume')}"
-        for command in remaking_commands(self.store.layout, self.store.sweeps, gone, self.store.states):
+        for command in remaking_commands(self.store, gone):
             yield f"Configurations are missing; this makes them, and the runs: {command}"
 
     def _command(self, *words: str) -> str:

@@ -17,6 +17,7 @@ from rrmctl.errors import Exit, UserError, room_error
 
 if TYPE_CHECKING:
     from rrmctl.store.layout import Layout
+    from rrmctl.store.snapshot import Snapshot
     from rrmctl.store.status import Status
     from rrmctl.store.sweeps import Job, SweepRecord
 
@@ -113,14 +114,12 @@ def unconfigured(layout: Layout, jobs: Iterable[Job]) -> set[str]:
     return gone
 
 
-def remaking_commands(
-    layout: Layout, sweeps: Iterable[SweepRecord], runs: set[str], states: Mapping[str, Status]
-) -> Iterator[str]:
+def remaking_commands(store: Snapshot, runs: set[str]) -> Iterator[str]:
     """The commands that write the configurations of these runs anew and run them."""
-    for sweep in sweeps:
+    for sweep in store.sweeps:
         jobs = [job for job in sweep.jobs if job.id in runs]
-        failed = any(states[job.id].state in ("failed", "blocked") for job in jobs)
-        yield from _commands(layout, sweep, jobs, ["--retry-failed"] if failed else [])
+        failed = any(store.states[job.id].state in ("failed", "blocked") for job in jobs)
+        yield from _commands(store.layout, sweep, jobs, ["--retry-failed"] if failed else [])
 
 
 def _commands(layout: Layout, sweep: SweepRecord, jobs: Sequence[Job], options: Sequence[str]) -> list[str]:
