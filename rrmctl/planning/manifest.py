@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from itertools import chain
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -166,12 +166,11 @@ def parse(table: Mapping[str, Any], path: Path) -> Manifest:
         model = Include if "include" in place else GridRows if "exclude" in place else Grid
         where = " ".join([f"[[grid]] {int(place[1]) + 1}" if several else "[grid]", *map(str, place[2:3])])
         check_known(str(wrong), sorted(model.model_fields), f'{path} {where}: unknown key "{wrong}"', "known keys")
-    raise UserError("\n".join(_explained(mistakes, path, table.get("seeds"))))
+    raise UserError("\n".join(dict.fromkeys(_explained(mistakes, path, table.get("seeds")))))
 
 
-def _explained(mistakes: Sequence[ErrorDetails], path: Path, seeds: Any) -> dict[str, None]:
+def _explained(mistakes: Sequence[ErrorDetails], path: Path, seeds: Any) -> Iterator[str]:
     """What pydantic found, in one line per mistake: file, key, what is wrong, what was given."""
-    lines = []
     inside = {mistake["loc"][:depth] for mistake in mistakes for depth in range(len(mistake["loc"]))}
     for mistake in [mistake for mistake in mistakes if mistake["loc"] not in inside][:5]:  # the innermost say it all
         top, *rest = map(str, mistake["loc"])
@@ -179,15 +178,14 @@ def _explained(mistakes: Sequence[ErrorDetails], path: Path, seeds: Any) -> dict
         key = key.removesuffix(".[key]")  # of a name that is no name
         given = shown(mistake["input"])
         if top == "seeds":  # one line for the number and the list that were tried
-            lines.append(f"{path}: seeds: expected a number or a list of integers; got {shown(seeds)}")
+            yield f"{path}: seeds: expected a number or a list of integers; got {shown(seeds)}"
         elif mistake["type"] == "missing":
-            lines.append(f"{path}: {key} is missing")
+            yield f"{path}: {key} is missing"
         elif mistake["type"] == "too_short":
             least = mistake["ctx"]["min_length"]
-            lines.append(f"{path}: {key} is {'empty' if least == 1 else 'too short'}; name at least {least}")
+            yield f"{path}: {key} is {'empty' if least == 1 else 'too short'}; name at least {least}"
         elif mistake["type"] in ("model_type", "dict_type"):
-            lines.append(f"{path}: {key}: expected a table; got {given}")
+            yield f"{path}: {key}: expected a table; got {given}"
         else:
             problem = mistake["msg"].removeprefix("Value error, ").replace("tuple", "list")
-            lines.append(f"{path}: {key}: {problem}; got {given}")
-    return dict.fromkeys(lines)
+            yield f"{path}: {key}: {problem}; got {given}"

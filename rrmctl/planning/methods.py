@@ -61,7 +61,8 @@ def vocabulary() -> str:
 def method(name: str, manifest: Manifest) -> Method:
     """The method of this name: the manifest's own if it defines one, else by the grammar; an unknown one is refused."""
     table, names = manifest.methods.get(name, MethodTable()), grammar()
-    section, folder, settings = f"{manifest.path} [method.{name}]", manifest.path.parent, table.model_extra or {}
+    section, folder = f"{manifest.path} [method.{name}]", manifest.path.parent
+    settings = table.model_extra or {}
     if table.learner is None and table.prior is None:
         if name not in names:
             raise UserError(
