@@ -105,10 +105,10 @@ def introduce(console: Console, request: Request, expected: Forecast, slots: int
     """Say what a command is about to run, what it costs, and what would cost less."""
     plan, count = expected.plan, len(expected.plan.jobs)
     counts = {"done already": expected.count("done"), "failed": expected.count("failed")}
-    there = "".join(f", {number} {state}" for state, number in counts.items() if number)
+    states = "".join(f", {number} {state}" for state, number in counts.items() if number)
     more = f" and {len(plan.needed)} that they need" if plan.needed else ""
-    said = f"{plan.experiment} ({plan.variant}): {count} run{'s' if count != 1 else ''}{more}{there}."
-    console.print(said, style="bold", soft_wrap=True)
+    heading = f"{plan.experiment} ({plan.variant}): {count} run{'s' if count != 1 else ''}{more}{states}."
+    console.print(heading, style="bold", soft_wrap=True)
     console.print(in_words(expected, slots), soft_wrap=True)
     advise(console, request, expected, LARGE_H)
 

@@ -198,11 +198,11 @@ def _record(console: Console, layout: Layout, plan: Plan) -> SweepRecord:
     path = layout.sweep(plan.experiment, plan.variant)
     notes = [set_damaged_aside(layout, path)]  # one of another version is refused before anything is written
     before = read_sweep(path)
-    asked = SweepRecord(**{field.name: getattr(plan, field.name) for field in fields(SweepRecord)})
+    sweep = SweepRecord(**{field.name: getattr(plan, field.name) for field in fields(SweepRecord)})
     contents = {job.id: config_content(plan.configs[job.id]) for job in plan.everything}
     remember(digest for content in contents.values() for digest in code_files(content).values())
     notes += [record_config(layout.run(run), content) for run, content in contents.items()]
-    late = set(record_sweep(layout, asked).superseded) - set(before.superseded if before else ())
+    late = set(record_sweep(layout, sweep).superseded) - set(before.superseded if before else ())
     if late:
         count = f"{runs(len(late))} of other settings, files or versions gave way to what is asked for now"
         notes.append(f"{count}; `rrmctl clean` lists what nothing asks for any more")
@@ -211,7 +211,7 @@ def _record(console: Console, layout: Layout, plan: Plan) -> SweepRecord:
     notes += [record_config(layout.run(run), contents[run]) for run in lost]
     for note in filter(None, notes):
         console.print(f"note: {note}", soft_wrap=True)
-    return asked
+    return sweep
 
 
 def _train(

@@ -125,9 +125,9 @@ def remaking_commands(store: Snapshot, runs: set[str]) -> Iterator[str]:
 def _commands(layout: Layout, sweep: SweepRecord, jobs: Sequence[Job], options: Sequence[str]) -> list[str]:
     from rrmctl.store.provenance import asked_by
 
-    asked = [asked_by(layout.run(job.id)) for job in sweep.jobs]
-    asked.append([sweep.experiment, *(word for prior in sweep.priors for word in ("--prior", prior))])
+    commands = [asked_by(layout.run(job.id)) for job in sweep.jobs]
+    commands.append([sweep.experiment, *(word for prior in sweep.priors for word in ("--prior", prior))])
     wanted = [(job.task, job.method, job.seed) for job in jobs]
     return run_commands(
-        sweep.experiment, sweep.profile, sweep.overrides, wanted, asked=asked, options=options, results=layout.root
+        sweep.experiment, sweep.profile, sweep.overrides, wanted, asked=commands, options=options, results=layout.root
     )
