@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable
 from typing import NamedTuple
 
 #: What stands for teacher and feedback where nothing is asked; such runs belong to every panel of their task.
 NOTHING_ASKED = "-"
 ORACLE = "oracle"
+
+_NUMBER = r"([1-9][0-9]{0,17})"
+_SCHEDULE = re.compile(rf"{_NUMBER}@{_NUMBER}/{_NUMBER}(?: (.+))?")
 
 
 def knows(method: str) -> bool:
@@ -44,6 +48,24 @@ class Label(NamedTuple):
     def seeded(self, seed: int) -> str:
         """What one run is called: `task method teacher feedback seed 3`."""
         return " ".join([*self.words, f"seed {seed}"])
+
+
+class Schedule(NamedTuple):
+    """Of feedback, as its label says: `50@5000/5000`, and a name where more is set than these."""
+
+    batch: int  #: queries of a session
+    every: int  #: steps between sessions
+    budget: int  #: queries in all
+    name: str = ""
+
+    def __str__(self) -> str:
+        return f"{self.batch}@{self.every}/{self.budget} {self.name}".rstrip()
+
+    @classmethod
+    def of(cls, label: str) -> Schedule | None:
+        """The schedule that a label stands for; None where it is none's, such as that of nothing asked."""
+        match = _SCHEDULE.fullmatch(label)
+        return match and cls(int(match[1]), int(match[2]), int(match[3]), match[4] or "")
 
 
 def panels(labels: Iterable[Label]) -> dict[tuple[str, str, str], list[Label]]:

@@ -28,7 +28,7 @@ KNOW_RRM = {
     *(
         "planning.methods",
         "planning.settings",
-        "planning.layering",
+        "planning.grid",
         "planning.prerequisites",
     ),  # names and settings become configurations
     "running.experts",  # collects demonstrations that people ask for

@@ -45,34 +45,26 @@ class _Commands(TyperGroup):
 
     def invoke(self, ctx: Any) -> Any:  # the context is click's, or typer's copy of it, as its version has it
         try:
-            try:
-                Path.cwd()
-            except FileNotFoundError:  # nothing can be named from a folder that was removed
-                raise UserError("the folder this command runs in is gone", "change into one that is there") from None
             return super().invoke(ctx)
         except KeyboardInterrupt:
             raise typer.Exit(Exit.INTERRUPTED) from None
         except typer.Abort:  # the end of standard input, where a question was asked
             raise typer.Exit(Exit.INCOMPLETE) from None
         except Exception as error:
-            message = _for_people(error)
-            if message is None:
-                raise
+            match error:
+                case UserError():
+                    message = error
+                case RrmError():
+                    message = UserError(str(error))
+                case OSError(errno=number) if number in _MACHINE | _NAMES:
+                    hint = "free space or choose another --results DIR" if number in _MACHINE else None
+                    message = UserError(f"{error.filename or 'the file system'}: {error.strerror}", hint)
+                case _ if (room := room_error(error)) is not None:
+                    message = room
+                case _:
+                    raise
             _say(str(message), message.hint)
             raise typer.Exit(message.code) from None
-
-
-def _for_people(error: Exception) -> UserError | None:
-    """The message for an error that the user can act on; None for the others."""
-    match error:
-        case UserError():
-            return error
-        case RrmError():
-            return UserError(str(error))
-        case OSError(errno=number) if number in _MACHINE | _NAMES:
-            hint = "free space or choose another --results DIR" if number in _MACHINE else None
-            return UserError(f"{error.filename or 'the file system'}: {error.strerror}", hint)
-    return room_error(error)
 
 
 def _say(message: str, hint: str | None) -> None:
@@ -107,8 +99,8 @@ def _version(wanted: bool) -> None:
 
 
 @app.callback()
-def rrmctl(
-    version: Annotated[
+def program(
+    _wanted: Annotated[
         bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version and leave.")
     ] = False,
 ) -> None:
@@ -117,14 +109,18 @@ def rrmctl(
     An experiment is a TOML file: tasks, methods, teachers and feedback budgets, crossed with seeds.
     Running one again continues it: only what is missing runs.
     """
+    try:
+        Path.cwd()
+    except FileNotFoundError:  # nothing can be named from a folder that was removed
+        raise UserError("the folder this command runs in is gone", "change into one that is there") from None
 
 
-_COMMANDS = (
-    *(plan.list_, plan.plan, run.run, status.status, run.resume, show.show),
+app.command("list")(plan.list_)
+for _command in (
+    *(plan.plan, run.run, status.status, run.resume, show.show),
     *(report.plot, report.export, status.clean, plan.doctor),
-)
-for _command in _COMMANDS:
-    app.command(_command.__name__.rstrip("_"))(_command)  # list_ is the command `list`
+):
+    app.command()(_command)
 app.add_typer(report.report_app, name="report")
 app.add_typer(prior.prior_app, name="prior")
 app.add_typer(demos.demos_app, name="demos")

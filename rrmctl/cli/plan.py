@@ -96,11 +96,16 @@ def plan(
     expected = forecast(request.plan(), layout)
     plan = expected.plan
     if as_json:
-        jobs, needed = ([_described(expected, job) for job in part] for part in (plan.jobs, plan.needed))
-        about = {"experiment": plan.experiment, "profile": plan.profile, "variant": plan.variant,
-                 "overrides": plan.overrides, "core_hours": sum(expected.seconds.values()) / 3600,
-                 "core_hours_left": expected.hours_left}  # fmt: skip
-        typer.echo(json.dumps(about | {"jobs": jobs, "needed": needed}, indent=2))
+        about: dict[str, Any] = {
+            name: getattr(plan, name) for name in ("experiment", "profile", "variant", "overrides")
+        }
+        about |= {"core_hours": sum(expected.seconds.values()) / 3600, "core_hours_left": expected.hours_left}
+        for part in ("jobs", "needed"):
+            about[part] = [
+                asdict(job) | {"state": str(expected.states[job.id].state), "core_seconds": expected.seconds[job.id]}
+                for job in getattr(plan, part)
+            ]
+        typer.echo(json.dumps(about, indent=2))
         return
     console = stdout_console(soft_wrap=True)
     console.print(f"{plan.experiment}: {plan.manifest.title}", style="bold")
@@ -114,11 +119,6 @@ def plan(
     words = in_words(expected, usable_cores())
     console.print(f"\n{len(plan.jobs)} jobs{more}, {there or 'none run yet'}. {words}")
     advise(console, request, expected, 0.0)
-
-
-def _described(expected: Forecast, job: Job) -> dict[str, Any]:
-    more = {"state": str(expected.states[job.id].state), "core_seconds": expected.seconds[job.id]}
-    return asdict(job) | more
 
 
 def _table(expected: Forecast, *, by_job: bool) -> Table:

@@ -63,17 +63,18 @@ class Forecast:
         return sum(status.state == state for status in self.states.values())
 
     @property
-    def shares(self) -> dict[str, float]:
-        """Share of each job that is still to be run."""
-        return {
+    def seconds_left(self) -> dict[str, float]:
+        """Of one core, still to be paid, by job id."""
+        shares = {
             job: 0.0 if status.state == "done" else 1.0 - status.step / status.steps if status.steps else 1.0
             for job, status in self.states.items()
         }
+        return {job: self.seconds[job] * share for job, share in shares.items()}
 
     @property
     def hours_left(self) -> float:
         """Core-hours still to be paid."""
-        return sum(self.seconds[job] * share for job, share in self.shares.items()) / 3600
+        return sum(self.seconds_left.values()) / 3600
 
 
 def forecast(plan: Plan, layout: Layout) -> Forecast:
@@ -104,10 +105,10 @@ def introduce(console: Console, request: Request, expected: Forecast, slots: int
     """Say what a command is about to run, what it costs, and what would cost less."""
     plan, count = expected.plan, len(expected.plan.jobs)
     counts = {"done already": expected.count("done"), "failed": expected.count("failed")}
-    there = "".join(f", {number} {state}" for state, number in counts.items() if number)
+    states = "".join(f", {number} {state}" for state, number in counts.items() if number)
     more = f" and {len(plan.needed)} that they need" if plan.needed else ""
-    said = f"{plan.experiment} ({plan.variant}): {count} run{'s' if count != 1 else ''}{more}{there}."
-    console.print(said, style="bold", soft_wrap=True)
+    heading = f"{plan.experiment} ({plan.variant}): {count} run{'s' if count != 1 else ''}{more}{states}."
+    console.print(heading, style="bold", soft_wrap=True)
     console.print(in_words(expected, slots), soft_wrap=True)
     advise(console, request, expected, LARGE_H)
 
@@ -121,7 +122,7 @@ def in_words(expected: Forecast, cores: int) -> str:
         table = "an estimate from the measured speed of one core and a table of costs"
         source = f"{expected.measured} of {jobs} jobs {source}, the rest {table}" if expected.measured else table
     # No number of cores makes a sweep shorter than its longest job.
-    longest = max(expected.seconds[job] * share for job, share in expected.shares.items()) / 3600
+    longest = max(expected.seconds_left.values()) / 3600
     return (
         f"About {duration(hours)} of one core are left, {duration(max(hours / cores, longest))} on {cores} "
         f"core{'s' if cores > 1 else ''} ({source})."
@@ -137,11 +138,11 @@ def advise(console: Console, request: Request, expected: Forecast, least_hours: 
         if config.kind == "train" and config.feedback and (queries := config.queries()) < config.feedback.budget:
             fit = f"{queries:,} of {config.feedback.budget:,} questions fit into {config.steps:,} steps"
             short[fit][f"{job.task} {job.method}"] = None
-    notes = [f"{fit}: {', '.join(names)}" for fit, names in short.items()]
+    for fit, methods in short.items():
+        console.print(f"  note: {fit}: {', '.join(methods)}", soft_wrap=True)
     threads, cores = max(expected.plan.configs[job.id].threads for job in expected.plan.jobs), usable_cores()
     if threads > cores:
-        notes.append(f"threads: {threads} for each run, on {cores} core{'s' if cores > 1 else ''}")
-    for note in notes:
+        note = f"threads: {threads} for each run, on {cores} core{'s' if cores > 1 else ''}"
         console.print(f"  note: {note}", soft_wrap=True)
     if expected.hours_left > least_hours:
         for line in smaller(request, expected.plan):

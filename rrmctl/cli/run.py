@@ -112,8 +112,7 @@ def run(
         return _train(screen, layout, assigned, slots, memory, hang_after), sweep
 
     drain(screen.file)
-    large = expected.hours_left > LARGE_H
-    large = large and any(wanted(job, expected.states[job.id]) for job in plan.everything)
+    large = expected.hours_left > LARGE_H and any(wanted(job, expected.states[job.id]) for job in plan.everything)
     if large and not yes and _asks() and not typer.confirm("Start?", err=True):
         raise typer.Exit(Exit.INCOMPLETE)
     code, sweep = until_decided(layout, plan, rules, execute) if rules else execute(plan)
@@ -141,44 +140,38 @@ def resume(
     """
     from rrmctl.running.config_file import code_files
     from rrmctl.running.supervisor import Terms
-    from rrmctl.store.layout import open_results
     from rrmctl.store.provenance import read_config
-    from rrmctl.store.status import statuses
-    from rrmctl.store.sweeps import find_sweeps, readable_sweeps
+    from rrmctl.store.snapshot import Snapshot
 
     screen = console(unfailing(sys.stderr))
-    layout = open_results(results)
-    sweeps, damage = readable_sweeps(layout) if name is None else (find_sweeps(layout, name), [])
-    note_damage(damage)
-    if not sweeps:
+    store = Snapshot(results, name, lenient=True)
+    note_damage(store.damage)
+    if not store.sweeps:
         begin = rrmctl("run", "quickstart", results=results)
         raise UserError(f"{results} holds no sweep", f"begin one, such as `{begin}`; `rrmctl list` shows the names")
-    jobs = {job.id: job for sweep in sweeps for job in sweep.everything}
-    states = statuses(layout, jobs.values())
-    left = {run: job for run, job in jobs.items() if _is_open(states[run], retry_failed=retry_failed)}
-    for sweep in sweeps:
+    jobs = {job.id: job for sweep in store.sweeps for job in sweep.everything}
+    left = {run: job for run, job in jobs.items() if _is_open(store.states[run], retry_failed=retry_failed)}
+    for sweep in store.sweeps:
         count, total = sum(job.id in left for job in sweep.everything), runs(len(sweep.everything))
         screen.print(f"{sweep.experiment} ({sweep.variant}): {count} of {total} to go", soft_wrap=True)
-    gone = unconfigured(layout, left.values())
-    for command in remaking_commands(layout, sweeps, gone, states):
+    gone = unconfigured(store.layout, left.values())
+    for command in remaking_commands(store, gone):
         screen.print(f"configurations are missing; this makes them, and the runs: {command}", soft_wrap=True)
-    threads: dict[str, int] = {}
+    assigned: dict[Job, Terms] = {}
     code_of_users: dict[str, str] = {}  # digests by path
-    for run in left:
+    for run, job in left.items():
+        threads = 1
         with contextlib.suppress(UserError):  # the run's own worker refuses it with this message; the others go on
-            config = read_config(layout.run(run))
+            config = read_config(store.layout.run(run))
             code_of_users |= code_files(config)
-            threads[run] = int(config["threads"])
-    assigned = {
-        job: Terms(threads=threads.get(run, 1), attempt=states[run].attempt)
-        for run, job in left.items()
-        if run not in gone
-    }
+            threads = int(config["threads"])
+        if run not in gone:
+            assigned[job] = Terms(threads=threads, attempt=store.states[run].attempt)
     require_trust(results, code_of_users, trust=trust, asks=_asks())
     slots = workers or _slots(terms.threads for terms in assigned.values())
-    code = _train(screen, layout, assigned, slots, memory, hang_after)
+    code = _train(screen, store.layout, assigned, slots, memory, hang_after)
     drain(screen.file)
-    finish(layout, code, sweeps, damaged=bool(damage or gone))
+    finish(store.layout, code, store.sweeps, damaged=bool(store.damage or gone))
 
 
 def _slots(threads: Iterable[int]) -> int:
@@ -205,11 +198,11 @@ def _record(console: Console, layout: Layout, plan: Plan) -> SweepRecord:
     path = layout.sweep(plan.experiment, plan.variant)
     notes = [set_damaged_aside(layout, path)]  # one of another version is refused before anything is written
     before = read_sweep(path)
-    asked = SweepRecord(**{field.name: getattr(plan, field.name) for field in fields(SweepRecord)})
+    sweep = SweepRecord(**{field.name: getattr(plan, field.name) for field in fields(SweepRecord)})
     contents = {job.id: config_content(plan.configs[job.id]) for job in plan.everything}
     remember(digest for content in contents.values() for digest in code_files(content).values())
     notes += [record_config(layout.run(run), content) for run, content in contents.items()]
-    late = set(record_sweep(layout, asked).superseded) - set(before.superseded if before else ())
+    late = set(record_sweep(layout, sweep).superseded) - set(before.superseded if before else ())
     if late:
         count = f"{runs(len(late))} of other settings, files or versions gave way to what is asked for now"
         notes.append(f"{count}; `rrmctl clean` lists what nothing asks for any more")
@@ -218,29 +211,21 @@ def _record(console: Console, layout: Layout, plan: Plan) -> SweepRecord:
     notes += [record_config(layout.run(run), contents[run]) for run in lost]
     for note in filter(None, notes):
         console.print(f"note: {note}", soft_wrap=True)
-    return asked
+    return sweep
 
 
 def _train(
-    console: Console,
-    layout: Layout,
-    assigned: Mapping[Job, Terms],
-    slots: int,
-    memory_gib: float | None,
-    hang_after_min: float,
+    console: Console, layout: Layout, assigned: Mapping[Job, Terms], slots: int, memory: float | None, hang_after: float
 ) -> Exit:
-    """Run the jobs, shown as bars at a terminal and as lines elsewhere."""
+    """Run the jobs, shown as bars at a terminal and as lines elsewhere. Memory in GiB, `hang_after` in minutes."""
     from rrmctl.cli.live import Bars, Lines
     from rrmctl.running.local import LocalExecutor
     from rrmctl.running.supervisor import Supervisor
 
     if not assigned:
         return Exit.DONE
-    executor = LocalExecutor(
-        layout=layout,
-        memory_limit=None if memory_gib is None else int(memory_gib * 2**30),
-        hang_after_s=hang_after_min * 60.0,
-    )
+    memory_limit = None if memory is None else int(memory * 2**30)
+    executor = LocalExecutor(layout=layout, memory_limit=memory_limit, hang_after_s=hang_after * 60.0)
     watched = sys.stderr.isatty() and not console.is_dumb_terminal
     watcher = (Bars if watched else Lines)(console, layout, list(assigned))
     with watcher.progress if isinstance(watcher, Bars) else contextlib.nullcontext():

@@ -99,9 +99,8 @@ class _View:
         """For people: the table, or the runs that failed."""
         if not self.store.sweeps:
             return f"{self.store.layout.root} holds no sweep yet. Begin one: {self._command('run', 'quickstart')}"
-        return self._failures() if failed else self._table()
-
-    def _table(self) -> RenderableType:
+        if failed:
+            return self._failures()
         from rich.console import Group as Stack
         from rich.table import Table
 
@@ -129,7 +128,7 @@ class _View:
         gone = unconfigured(self.store.layout, jobs)
         if not self.total.counts["running"] and len(jobs) > len(gone):
             yield f"Nothing is running; this goes on: {self._command('resume')}"
-        for command in remaking_commands(self.store.layout, self.store.sweeps, gone, self.store.states):
+        for command in remaking_commands(self.store, gone):
             yield f"Configurations are missing; this makes them, and the runs: {command}"
 
     def _command(self, *words: str) -> str:

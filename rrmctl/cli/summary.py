@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import shlex
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import partial
 from typing import TYPE_CHECKING
 
@@ -16,6 +17,7 @@ from rrmctl.errors import Exit, UserError, room_error
 
 if TYPE_CHECKING:
     from rrmctl.store.layout import Layout
+    from rrmctl.store.snapshot import Snapshot
     from rrmctl.store.status import Status
     from rrmctl.store.sweeps import Job, SweepRecord
 
@@ -29,24 +31,26 @@ def finish(
 
     Args:
         code: as the pool ended.
-        sweeps: what the command was about; of each, the jobs it was about.
-        damaged: a sweep the command was about could not be read, so that nobody knows whether all is done.
+        sweeps: what the command was about.
+        damaged: a sweep could not be read, so that nobody knows whether all is done.
         closing: of the manifest, said where all is done.
     """
     from rrmctl.store.status import statuses
 
     command = partial(rrmctl, results=layout.root)
     names = list(dict.fromkeys(sweep.experiment for sweep in sweeps))
-    states = {
-        status.state for status in statuses(layout, (job for sweep in sweeps for job in sweep.everything)).values()
-    }
+    status_of = statuses(layout, (job for sweep in sweeps for job in sweep.everything))
+    states = {status.state for status in status_of.values()}
     lost: list[tuple[str, str]] = []
     if code is not Exit.INTERRUPTED and "done" in states:
-        _afterwards("not every curve was looked at", command("resume"), lambda: lost.extend(_lost(layout, sweeps)))
+        with _afterwards("not every curve was looked at", later=command("resume")):
+            lost.extend(_lost(layout, sweeps, status_of))
         for name in (name for name in names if name not in dict(lost)):
-            _afterwards(
-                f"aggregates/{name}.parquet was not written", command("resume", name), partial(_aggregate, layout, name)
-            )
+            with _afterwards(f"aggregates/{name}.parquet was not written", later=command("resume", name)):
+                from rrmctl.reports.iqm_curves import write_curves
+                from rrmctl.reports.select import read_sections
+
+                write_curves(layout, read_sections(layout.root, name))
     for _, line in lost:
         tell(line)
     if code is Exit.DONE and (lost or damaged or "failed" in states):
@@ -69,36 +73,27 @@ def finish(
     raise typer.Exit(code)
 
 
-def _afterwards(undone: str, later: str, do: Callable[[], None]) -> None:
-    """Do what may fail for any reason, and say then what is left undone and which command does it later."""
+@contextlib.contextmanager
+def _afterwards(undone: str, *, later: str) -> Iterator[None]:
+    """Of what may fail for any reason: a line says then what is left undone, and which command does it later."""
     try:
-        do()
+        yield
     except Exception as error:
         what = room_error(error) or error
         words = str(what) if isinstance(what, UserError | RrmError) else f"{type(what).__name__}: {what}"
         tell(f"note: {undone}: {words}; later: {later}", err=True)
 
 
-def _lost(layout: Layout, sweeps: Iterable[SweepRecord]) -> Iterator[tuple[str, str]]:
+def _lost(layout: Layout, sweeps: Iterable[SweepRecord], status_of: Mapping[str, Status]) -> Iterator[tuple[str, str]]:
     """The experiment, and a line for each run that is done and whose curve is not all there."""
     from rrmctl.store.curve import lost_rows
-    from rrmctl.store.status import run_status
 
     jobs = {job.id: (sweep, job) for sweep in sweeps for job in sweep.jobs}
     for sweep, job in jobs.values():
-        folder = layout.run(job.id)
-        status = run_status(folder)
-        if status.state == "done" and (problem := lost_rows(folder, status)) is not None:
+        status = status_of[job.id]
+        if status.state == "done" and (problem := lost_rows(layout.run(job.id), status)) is not None:
             again = f"Bring the file back, or train it again: {rerun_command(layout, sweep, job)}"
             yield sweep.experiment, f"{job.label} is done, but {problem}. {again}"
-
-
-def _aggregate(layout: Layout, name: str) -> None:
-    """Write an experiment's `aggregates/NAME.parquet`."""
-    from rrmctl.reports.iqm_curves import write_curves
-    from rrmctl.reports.select import read_sections
-
-    write_curves(layout, read_sections(layout.root, name))
 
 
 def rerun_command(layout: Layout, sweep: SweepRecord, job: Job) -> str:
@@ -119,22 +114,20 @@ def unconfigured(layout: Layout, jobs: Iterable[Job]) -> set[str]:
     return gone
 
 
-def remaking_commands(
-    layout: Layout, sweeps: Iterable[SweepRecord], runs: set[str], states: Mapping[str, Status]
-) -> Iterator[str]:
+def remaking_commands(store: Snapshot, runs: set[str]) -> Iterator[str]:
     """The commands that write the configurations of these runs anew and run them."""
-    for sweep in sweeps:
+    for sweep in store.sweeps:
         jobs = [job for job in sweep.jobs if job.id in runs]
-        failed = any(states[job.id].state in ("failed", "blocked") for job in jobs)
-        yield from _commands(layout, sweep, jobs, ["--retry-failed"] if failed else [])
+        failed = any(store.states[job.id].state in ("failed", "blocked") for job in jobs)
+        yield from _commands(store.layout, sweep, jobs, ["--retry-failed"] if failed else [])
 
 
 def _commands(layout: Layout, sweep: SweepRecord, jobs: Sequence[Job], options: Sequence[str]) -> list[str]:
     from rrmctl.store.provenance import asked_by
 
-    asked = [asked_by(layout.run(job.id)) for job in sweep.jobs]
-    asked.append([sweep.experiment, *(word for prior in sweep.priors for word in ("--prior", prior))])
+    commands = [asked_by(layout.run(job.id)) for job in sweep.jobs]
+    commands.append([sweep.experiment, *(word for prior in sweep.priors for word in ("--prior", prior))])
     wanted = [(job.task, job.method, job.seed) for job in jobs]
     return run_commands(
-        sweep.experiment, sweep.profile, sweep.overrides, wanted, asked=asked, options=options, results=layout.root
+        sweep.experiment, sweep.profile, sweep.overrides, wanted, asked=commands, options=options, results=layout.root
     )

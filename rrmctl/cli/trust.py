@@ -19,7 +19,7 @@ from rrmctl.terminal import spelled
 _LARGEST = 2**24  # bytes; a file of code takes 65
 
 
-def _record() -> Path:
+def _file() -> Path:
     """Raises RuntimeError where nobody has a home."""
     named = os.environ.get("XDG_STATE_HOME")
     return (Path(named) if named else Path.home() / ".local" / "state") / "rrmctl" / "trusted"
@@ -27,7 +27,7 @@ def _record() -> Path:
 
 def _trusted() -> frozenset[str]:
     try:
-        return frozenset(read_bounded(_record(), _LARGEST).decode().split())
+        return frozenset(read_bounded(_file(), _LARGEST).decode().split())
     except (OSError, RuntimeError, UnicodeDecodeError):
         return frozenset()
 
@@ -37,21 +37,15 @@ def remember(digests: Iterable[str]) -> None:
     new = sorted({*digests} - _trusted())
     with contextlib.suppress(OSError, RuntimeError):
         if new:
-            make_folder(_record().parent)
-            with _record().open("a", encoding="utf-8") as file:
+            make_folder(_file().parent)
+            with _file().open("a", encoding="utf-8") as file:
                 file.write("".join(f"{digest}\n" for digest in new))
 
 
 def require_trust(root: Path, code: Mapping[str, str], *, trust: bool, asks: bool) -> None:
-    """See that the user wants code to be run, and take note of it.
+    """See that the user wants code to be run, digests by path, and take note of it; a `UserError` where nobody said so.
 
-    Args:
-        code: digests of files, by path.
-        trust: it was said beforehand.
-        asks: there is a person to ask, who may leave.
-
-    Raises:
-        UserError: nobody said so.
+    `trust`: it was said beforehand. `asks`: there is a person to ask, who may leave.
     """
     trusted = _trusted()
     foreign = [path for path, digest in code.items() if digest not in trusted]

@@ -11,7 +11,7 @@ import time
 from collections.abc import Mapping
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from rrmctl.planning.toml import read_toml
 
@@ -20,11 +20,13 @@ if TYPE_CHECKING:
     from rrmctl.planning.prerequisites import Config
 
 
+_COSTS = read_toml(Path(__file__).with_name("costs.toml"))
+
+
 def estimate_seconds(plan: Plan, speeds: Mapping[tuple[str, str, str], float]) -> dict[str, float]:
     """What every job of a plan takes on a core of its own, from nothing to the end, by id.
 
-    Args:
-        speeds: of stored runs, in environment steps per second by task, method and variant, evaluation included.
+    Stored runs have their speeds, evaluation included, in steps per second by task, method and variant.
     """
     seconds: dict[str, float] = {}
     tabled: dict[tuple[str, ...], float] = {}
@@ -32,7 +34,7 @@ def estimate_seconds(plan: Plan, speeds: Mapping[tuple[str, str, str], float]) -
         speed = speeds.get((job.task, job.method, plan.variant))
         if speed is None and job.row not in tabled:  # seeds cost the same
             tabled[job.row] = tabled_seconds(plan.configs[job.id], core_speed())
-        seconds[job.id] = tabled[job.row] if speed is None else _costs()["start"] / 1000 + job.steps / speed
+        seconds[job.id] = tabled[job.row] if speed is None else _COSTS["start"] / 1000 + job.steps / speed
     return seconds
 
 
@@ -51,17 +53,17 @@ def core_speed() -> float:
         start = time.process_time()
         factor @ factor
         spent.append(time.process_time() - start)
-    return float(2 * 64**3 / min(filter(None, spent)) / _costs()["flops"])
+    return float(2 * 64**3 / min(filter(None, spent)) / _COSTS["flops"])
 
 
 def tabled_seconds(config: Config, speed: float) -> float:
     """Seconds of one run from nothing to its end, by the table, on a core of this `core_speed`."""
-    costs, spec = _costs(), config.spec()
-    step = costs["step"].get(spec.name) or costs["step"].get(spec.suite, costs["step"]["unknown"])
+    spec = config.spec()
+    step = _COSTS["step"].get(spec.name) or _COSTS["step"].get(spec.suite, _COSTS["step"]["unknown"])
     if config.kind == "demos":
-        return float(costs["start"] + config.steps * step) / 1000
+        return float(_COSTS["start"] + config.steps * step) / 1000
     agent, reward, feedback = config.agent, config.reward, config.feedback
-    learner = costs["learner"].get(reward.learner, costs["learner"]["default"])
+    learner = _COSTS["learner"].get(reward.learner, _COSTS["learner"]["default"])
     reference = 2 * 256**2
     update = learner["update"] * (agent.layers - 1) * agent.hidden**2 / reference * agent.batch / 512
     updates = max(config.steps - config.random_steps, 0) / agent.update_every
@@ -71,9 +73,4 @@ def tabled_seconds(config: Config, speed: float) -> float:
         label = learner["label"] * (reward.layers - 1) * reward.hidden**2 / reference * feedback.segment / 50
         labels = sessions * reward.epochs * min(feedback.batch * (sessions + 1) / 2, reward.capacity)
     products = (updates * update + labels * label) / speed
-    return float(costs["start"] + (config.steps + evaluated) * step + updates * learner["call"] + products) / 1000
-
-
-@cache
-def _costs() -> dict[str, Any]:
-    return read_toml(Path(__file__).with_name("costs.toml"))
+    return float(_COSTS["start"] + (config.steps + evaluated) * step + updates * learner["call"] + products) / 1000

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from itertools import chain
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -18,7 +18,6 @@ from pydantic import (
     AfterValidator,
     BaseModel,
     BeforeValidator,
-    ConfigDict,
     Field,
     StrictInt,
     StringConstraints,
@@ -53,18 +52,13 @@ Names = Annotated[tuple[Name, ...], Field(min_length=1)]
 _Key = Annotated[str, AfterValidator(_plain)]  # two keys that differ in spaces alone must not become one
 Sections = dict[_Key, Settings]
 
-#: The teacher and the schedule of feedback that need no name in a manifest.
-DEFAULT_TEACHER = "oracle"
+#: The schedule of feedback that needs no section in a manifest.
 DEFAULT_FEEDBACK = "default"
 
 _EXPERIMENT_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,127}")  # it becomes a file's in the store
 
 
-class _Frozen(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-
-class GridRows(_Frozen):
+class GridRows(BaseModel, frozen=True, extra="forbid"):
     """Some rows of a grid: those that agree with every name given here."""
 
     task: Name | None = None
@@ -93,12 +87,12 @@ class Include(GridRows):
     set: Settings = {}  #: settings of these rows alone
 
 
-class Grid(_Frozen):
+class Grid(BaseModel, frozen=True, extra="forbid"):
     """Axes that are crossed with one another."""
 
     tasks: Names
     methods: Names
-    teachers: Names = (DEFAULT_TEACHER,)
+    teachers: Names = ("oracle",)
     feedback: Names = (DEFAULT_FEEDBACK,)  #: names of [feedback.NAME] sections
     zip: tuple[Annotated[tuple[Axis, ...], Field(min_length=2)], ...] = ()  #: axes that advance together
     include: tuple[Include, ...] = ()
@@ -116,19 +110,14 @@ class Grid(_Frozen):
         return names
 
 
-class MethodTable(_Frozen, extra="allow"):
+class MethodTable(BaseModel, frozen=True, extra="allow"):
     """A method of the manifest's own, or settings of a known one: whatever is neither learner nor prior."""
 
     learner: Text | None = None  #: a learner's name, `true`, `prior`, or `file.py:Class`
     prior: Text | None = None  #: a prior's name, or `file.py:function`
 
-    @property
-    def settings(self) -> Settings:
-        """Of its runs."""
-        return self.model_extra or {}
 
-
-class Manifest(_Frozen):
+class Manifest(BaseModel, frozen=True, extra="forbid"):
     """One experiment. Settings are at the paper's scale; `rrmctl.planning.plan` says how profiles scale them."""
 
     name: str  #: the file's stem
@@ -152,15 +141,8 @@ class Manifest(_Frozen):
     profiles: Sections = Field({}, alias="profile")  #: [profile.NAME]: taken as they stand, not scaled
 
 
-_KEYS = {described.alias or name for name, described in Manifest.model_fields.items()} - {"name", "path"}
-
-
 def load(path: Path) -> Manifest:
-    """Read and check one manifest.
-
-    Raises:
-        UserError: unreadable file, unknown key, wrong type, empty list; the message names file and key.
-    """
+    """Read and check one manifest; a `UserError` names file and key."""
     if not _EXPERIMENT_NAME.fullmatch(path.stem):
         raise UserError(
             f"{path}: an experiment's name is made of letters, digits, - and _, at most 128 in all", "rename the file"
@@ -170,8 +152,9 @@ def load(path: Path) -> Manifest:
 
 def parse(table: Mapping[str, Any], path: Path) -> Manifest:
     """The manifest that `table`, read from `path`, describes. Raises `UserError` as `load` does."""
+    keys = {described.alias or name for name, described in Manifest.model_fields.items()} - {"name", "path"}
     for key in table:
-        check_known(key, sorted(_KEYS), f'{path}: unknown key "{key}"', "known keys")
+        check_known(key, sorted(keys), f'{path}: unknown key "{key}"', "known keys")
     if "grid" not in table:
         raise UserError(f"{path}: there is no [grid]", "add [grid] with tasks = [...] and methods = [...]")
     try:
@@ -183,12 +166,11 @@ def parse(table: Mapping[str, Any], path: Path) -> Manifest:
         model = Include if "include" in place else GridRows if "exclude" in place else Grid
         where = " ".join([f"[[grid]] {int(place[1]) + 1}" if several else "[grid]", *map(str, place[2:3])])
         check_known(str(wrong), sorted(model.model_fields), f'{path} {where}: unknown key "{wrong}"', "known keys")
-    raise UserError("\n".join(_explained(mistakes, path, table.get("seeds"))))
+    raise UserError("\n".join(dict.fromkeys(_explained(mistakes, path, table.get("seeds")))))
 
 
-def _explained(mistakes: Sequence[ErrorDetails], path: Path, seeds: Any) -> dict[str, None]:
+def _explained(mistakes: Sequence[ErrorDetails], path: Path, seeds: Any) -> Iterator[str]:
     """What pydantic found, in one line per mistake: file, key, what is wrong, what was given."""
-    lines = []
     inside = {mistake["loc"][:depth] for mistake in mistakes for depth in range(len(mistake["loc"]))}
     for mistake in [mistake for mistake in mistakes if mistake["loc"] not in inside][:5]:  # the innermost say it all
         top, *rest = map(str, mistake["loc"])
@@ -196,15 +178,14 @@ def _explained(mistakes: Sequence[ErrorDetails], path: Path, seeds: Any) -> dict
         key = key.removesuffix(".[key]")  # of a name that is no name
         given = shown(mistake["input"])
         if top == "seeds":  # one line for the number and the list that were tried
-            lines.append(f"{path}: seeds: expected a number or a list of integers; got {shown(seeds)}")
+            yield f"{path}: seeds: expected a number or a list of integers; got {shown(seeds)}"
         elif mistake["type"] == "missing":
-            lines.append(f"{path}: {key} is missing")
+            yield f"{path}: {key} is missing"
         elif mistake["type"] == "too_short":
             least = mistake["ctx"]["min_length"]
-            lines.append(f"{path}: {key} is {'empty' if least == 1 else 'too short'}; name at least {least}")
+            yield f"{path}: {key} is {'empty' if least == 1 else 'too short'}; name at least {least}"
         elif mistake["type"] in ("model_type", "dict_type"):
-            lines.append(f"{path}: {key}: expected a table; got {given}")
+            yield f"{path}: {key}: expected a table; got {given}"
         else:
             problem = mistake["msg"].removeprefix("Value error, ").replace("tuple", "list")
-            lines.append(f"{path}: {key}: {problem}; got {given}")
-    return dict.fromkeys(lines)
+            yield f"{path}: {key}: {problem}; got {given}"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Collection, Mapping
+from collections.abc import Collection
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -15,7 +15,7 @@ from rrm.priors.language import is_frozen
 from rrm.registry import check_file, is_file_reference
 from rrm.rewards import LEARNERS
 from rrmctl.errors import UserError
-from rrmctl.planning.manifest import MethodTable, Settings
+from rrmctl.planning.manifest import Manifest, MethodTable, Settings
 from rrmctl.planning.profiles import ProfileKind
 
 #: The learner that a residual method's name leaves out.
@@ -58,22 +58,18 @@ def vocabulary() -> str:
     )
 
 
-def method(name: str, own: Mapping[str, MethodTable], folder: Path, where: str) -> Method:
-    """The method of this name: the manifest's own if it defines one, else by the grammar; an unknown one is refused.
-
-    Args:
-        own: the manifest's [method.NAME] sections.
-        folder: the manifest's, where files of users' code are named from.
-        where: the manifest, for messages.
-    """
-    section, table, names = f"{where} [method.{name}]", own.get(name, MethodTable()), grammar()
+def method(name: str, manifest: Manifest) -> Method:
+    """The method of this name: the manifest's own if it defines one, else by the grammar; an unknown one is refused."""
+    table, names = manifest.methods.get(name, MethodTable()), grammar()
+    section, folder = f"{manifest.path} [method.{name}]", manifest.path.parent
+    settings = table.model_extra or {}
     if table.learner is None and table.prior is None:
         if name not in names:
             raise UserError(
-                f'{where}: unknown method "{name}"{nearest(name, {*names, *own})}',
+                f'{manifest.path}: unknown method "{name}"{nearest(name, {*names, *manifest.methods})}',
                 f"known: {', '.join(sorted(names))}; or define it in [method.{name}] with learner and prior",
             )
-        return Method(name, *names[name], table.settings)
+        return Method(name, *names[name], settings)
     learners = {*LEARNERS, *(learner for learner, kind in KINDS.items() if kind.known)}
     learner = _named(table.learner or BASE_LEARNER, "learner", learners, folder, section)
     prior = None if table.prior is None else _named(table.prior, "prior", PRIORS, folder, section)
@@ -82,7 +78,7 @@ def method(name: str, own: Mapping[str, MethodTable], folder: Path, where: str) 
         raise UserError(f'{section}: the learner "prior" trains on a prior alone; name it with prior = "..."')
     if kind is KNOWN and prior is not None:
         raise UserError(f'{section}: the learner "true" is the true reward and takes no prior')
-    return Method(name, learner, prior, table.settings)
+    return Method(name, learner, prior, settings)
 
 
 def residual(prior: str, folder: Path) -> Method:

@@ -14,13 +14,12 @@ from typing import Any
 from rrm.errors import RrmError
 from rrmctl.errors import UserError, check_known, shown
 from rrmctl.labels import NOTHING_ASKED, Label
-from rrmctl.planning.grid import AXES, GridRow, rows_of
-from rrmctl.planning.layering import check_names, check_sections, configure, feedback_label
+from rrmctl.planning.grid import GridRow, check, configure, feedback_label, rows_of
 from rrmctl.planning.manifest import Manifest
 from rrmctl.planning.methods import Method, method, residual
 from rrmctl.planning.prerequisites import Config, supply
-from rrmctl.planning.profiles import profile as find_profile
-from rrmctl.planning.settings import check_assignments, parse_assignments
+from rrmctl.planning.profiles import profiles
+from rrmctl.planning.settings import parse_assignments
 from rrmctl.store.sweeps import Job, SweepRecord
 
 _MOST_SEEDS = 10_000
@@ -46,7 +45,7 @@ def make_plan(
     seeds: str | int | Sequence[int] | None = None,
     tasks: Sequence[str] | None = None,
     methods: Sequence[str] | None = None,
-    overrides: Mapping[str, Any] | Iterable[str] = (),
+    overrides: Iterable[str] = (),
     priors: Sequence[str] = (),
 ) -> Plan:
     """The jobs of an experiment.
@@ -56,7 +55,7 @@ def make_plan(
         profile: its scale; None is the manifest's own default.
         seeds: "10", "0,3,7", a number or a list; None is the manifest's.
         tasks, methods: only these, of those the manifest has.
-        overrides: settings by dotted name, or `key=value` texts as typed after `--set`.
+        overrides: settings, `key=value` as typed after `--set`.
         priors: residual methods on these priors beside the manifest's methods: names, or `file.py:function` as seen
             from the folder the command runs in.
 
@@ -64,12 +63,13 @@ def make_plan(
         UserError: an unknown name or key, a wrong type, or settings that cannot be run together.
     """
     where = "--profile" if profile is not None else f"{manifest.path}: default_profile"
-    scale = find_profile(manifest.default_profile if profile is None else profile, where).name
-    settings = check_assignments(overrides) if isinstance(overrides, Mapping) else parse_assignments(overrides)
+    scale = manifest.default_profile if profile is None else profile
+    check_known(scale, profiles(), f'{where}: unknown profile "{scale}"')
+    settings = parse_assignments(overrides)
     numbers = parse_seeds(manifest.seeds, f"{manifest.path}: seeds") if seeds is None else parse_seeds(seeds, "--seeds")
     rows = rows_of(manifest)
-    own = {row.method: method(row.method, manifest.methods, manifest.path.parent, str(manifest.path)) for row in rows}
-    _check(manifest, rows)
+    own = {row.method: method(row.method, manifest) for row in rows}
+    check(manifest, rows)
     rows = _only(rows, "task", tasks, manifest)
     added = _added(priors, own)
     beside = [replace(row, method=name) for row in rows for name in added]
@@ -144,19 +144,6 @@ def variant(profile: str, overrides: Mapping[str, Any]) -> str:
         return profile
     text = json.dumps(overrides, sort_keys=True, allow_nan=False)
     return f"{profile}-{hashlib.sha256(text.encode()).hexdigest()[:8]}"
-
-
-def _check(manifest: Manifest, rows: list[GridRow]) -> None:
-    """Refuse unknown names, and sections for names that the grid does not have."""
-    for row in rows:
-        check_names(manifest, row)
-    sections: list[Mapping[str, Any]] = [manifest.tasks, manifest.methods, manifest.teachers, manifest.feedback]
-    for axis, section in zip(AXES.values(), sections, strict=True):
-        used = sorted({getattr(row, axis) for row in rows})
-        for name in section:
-            problem = f"{manifest.path} [{axis}.{name}]: the grid has no {axis} of this name"
-            check_known(name, used, problem, "the grid has")
-    check_sections(manifest)
 
 
 def _only(

@@ -7,7 +7,6 @@ from functools import cache
 from pathlib import Path
 from typing import Any, Literal
 
-from rrmctl.errors import check_known
 from rrmctl.planning.toml import read_toml
 
 PATH = Path(__file__).with_name("profiles.toml")
@@ -23,7 +22,6 @@ ProfileKind = Literal["known", "baseline", "residual"]
 class Profile:
     """A scale: settings for all runs, for suites and for single tasks, the narrower ones winning."""
 
-    name: str
     about: str  #: one sentence for people
     chain: tuple[tuple[str, dict[str, Any]], ...]  #: (name, table) of what this profile builds on, itself last
 
@@ -34,11 +32,5 @@ def profiles() -> dict[str, Profile]:
     scales: dict[str, Profile] = {}
     for name, table in read_toml(PATH).items():
         before = scales[table["like"]].chain if "like" in table else ()
-        scales[name] = Profile(name, table["about"], (*before, (name, table)))
+        scales[name] = Profile(table["about"], (*before, (name, table)))
     return scales
-
-
-def profile(name: str, where: str) -> Profile:
-    """The profile of this name, which `where` asks for; where there is none, the nearest is suggested."""
-    check_known(name, profiles(), f'{where}: unknown profile "{name}"')
-    return profiles()[name]

@@ -14,7 +14,8 @@ from pydantic.fields import FieldInfo
 
 from rrm.errors import RrmError, nearest
 from rrm.toml import NestingError, loads
-from rrm.training.run_config import CONFIG_VERSION, RunConfig
+from rrm.training.run_config import CONFIG_VERSION as CONFIG_VERSION  # noqa: PLC0414 (for reports, which know no rrm)
+from rrm.training.run_config import RunConfig
 from rrmctl.errors import UserError, shown
 from rrmctl.planning.toml import refuse_odd
 
@@ -134,14 +135,10 @@ def merged(layers: Iterable[Layer]) -> dict[str, Any]:
 
 
 def resolve(layers: Sequence[Layer], cell: str, **decided: Any) -> RunConfig:
-    """One configuration out of layers, later ones winning.
+    """The configuration of a cell (for messages: file, task and method), later layers winning, `decided` over all.
 
     Settings that do not go together (a segment longer than an episode, feedback after the end) are refused; the hint
     names the layer that the offending one came from.
-
-    Args:
-        cell: what is being configured, for messages: file, task and method.
-        decided: settings by dotted name that no layer may change.
     """
     values, origin = merged(layers), {name: layer for layer in layers for name in layer.settings}
     if "steps" not in values:
@@ -168,11 +165,6 @@ def resolve(layers: Sequence[Layer], cell: str, **decided: Any) -> RunConfig:
     raise UserError(f"{cell}: {message}", hint)
 
 
-def config_version() -> int:
-    """Of the configurations that this program trains."""
-    return CONFIG_VERSION
-
-
 def parse_assignments(assignments: Iterable[str]) -> dict[str, Any]:
     """`--set` arguments, `key=value` with a TOML value, by dotted name and checked; a bare word is text."""
     settings: dict[str, Any] = {}
@@ -183,11 +175,6 @@ def parse_assignments(assignments: Iterable[str]) -> dict[str, Any]:
             raise UserError(f"{where}: expected KEY=VALUE, e.g. --set agent.batch=256")
         settings[key.strip()] = _value(value.strip(), where)
     refuse_odd(settings, "--set")
-    return check_assignments(settings)
-
-
-def check_assignments(settings: Mapping[str, Any]) -> dict[str, Any]:
-    """Overrides by dotted name, each checked."""
     for name, value in settings.items():
         if name in _sections():
             inside = value if isinstance(value, dict) else ()

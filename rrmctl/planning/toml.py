@@ -22,11 +22,7 @@ _CONTROL = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\ud800-\udfff]")
 
 
 def read_toml(path: Path) -> dict[str, Any]:
-    """The file's content.
-
-    Raises:
-        UserError: it cannot be read, or is not TOML; the message names file, line and column.
-    """
+    """The file's content; a `UserError` that names file, line and column where it is not TOML."""
     try:
         table = loads(read_bounded(path, _LARGEST_FILE).decode("utf-8-sig"))
     except UnicodeDecodeError as error:
@@ -40,11 +36,7 @@ def read_toml(path: Path) -> dict[str, Any]:
 
 
 def refuse_odd(value: Any, where: str, name: str = "", depth: int = 0) -> None:
-    """Refuse what TOML can say and no setting, name or path can be.
-
-    Raises:
-        UserError: with the place of the first such value.
-    """
+    """Refuse what TOML can say and no setting, name or path can be; the error names the place of the first."""
     place = f"{where}: {name}" if name else where
     if depth > DEEPEST:
         raise UserError(f"{place}: nested too deeply, in more than {DEEPEST} tables and lists")

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from rrmctl.commands import run_commands
 from rrmctl.errors import UserError
 from rrmctl.labels import Label
-from rrmctl.planning.settings import config_version
+from rrmctl.planning.settings import CONFIG_VERSION
 from rrmctl.reports.series import Section
 from rrmctl.store.layout import Layout
 from rrmctl.store.provenance import asked_by, made_with, version
@@ -107,7 +107,7 @@ def remarks(section: Section, makings: Mapping[str, Making]) -> Iterator[str]:
 
 def refuse(section: Section, mixed: Mixture, layout: Layout) -> UserError:
     """What to say where runs differ that should not: training anew those that this environment would make otherwise."""
-    now = {fact: str(config_version()) if fact == VERSION else version(fact) for fact in mixed}
+    now = {fact: str(CONFIG_VERSION) if fact == VERSION else version(fact) for fact in mixed}
     stale = {
         fact: [made for value, runs in values.items() if value != now[fact] for made in runs]
         for fact, values in mixed.items()

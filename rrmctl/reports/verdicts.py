@@ -17,7 +17,7 @@ import numpy as np
 
 from rrm.envs.tasks import ScoreKind as Unit
 from rrmctl.errors import UserError
-from rrmctl.planning.schedules import Schedule
+from rrmctl.labels import Schedule
 from rrmctl.reports.claims import Arm, Claim, Reading, Test
 from rrmctl.reports.scores import Score, score
 from rrmctl.reports.series import Section, Series

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from rrmctl.labels import NOTHING_ASKED, Label, knows, panels
+import pytest
+
+from rrmctl.labels import NOTHING_ASKED, Label, Schedule, knows, panels
 from rrmctl.store.sweeps import Job
 
 ASKING = Label("toy-car", "pebble", "oracle", "5@50/20")
@@ -37,3 +39,19 @@ def test_what_asks_nothing_is_in_every_panel_of_its_task() -> None:
 def test_who_learns_from_the_true_reward() -> None:
     """The oracle and its variants."""
     assert [knows(name) for name in ("oracle", "oracle-bfloat16", "rrm-oracle", "pebble")] == [True, True, False, False]
+
+
+@pytest.mark.parametrize("label", ["50@5000/2500", "5@20000/125 short segments"])
+def test_a_schedule_is_read_back(label: str) -> None:
+    """Queries, steps and budget, and the name of a schedule that sets more."""
+    read = Schedule.of(label)
+    assert str(read) == label
+    assert read[:3] == tuple(int(number) for number in label.split(maxsplit=1)[0].replace("@", "/").split("/"))
+
+
+@pytest.mark.parametrize(
+    "label", ["-", "", "often", "50@5000", "50@5000/2500/1", "50@5000/2500 ", "0@0/0", "9" * 5000 + "@1/1"]
+)
+def test_what_is_no_schedule_is_none(label: str) -> None:
+    """Where nothing is asked, or a record was written by hand, there is nothing to read."""
+    assert Schedule.of(label) is None

@@ -14,8 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from rrmctl.errors import UserError
-from rrmctl.labels import NOTHING_ASKED
-from rrmctl.planning.schedules import Schedule
+from rrmctl.labels import NOTHING_ASKED, Schedule
 from rrmctl.reports.figure_layout import Slot, from_frames, sheet
 from rrmctl.reports.iqm_curves import ALL_TASKS
 from rrmctl.reports.plot_elements import UNITS, score_axis, short_steps

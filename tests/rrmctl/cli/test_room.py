@@ -87,11 +87,8 @@ def test_what_was_not_done_afterwards_is_a_line(
     error: Exception, said: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """With the command that does it later, whatever the reason; it raises nothing."""
-
-    def fails() -> None:
+    with _afterwards("x was not written", later="rrmctl report iqm x"):
         raise error
-
-    _afterwards("x was not written", "rrmctl report iqm x", fails)
     (line,) = capsys.readouterr().err.splitlines()
     assert line.startswith(f"note: x was not written: {said}")
     assert line.endswith("; later: rrmctl report iqm x")

@@ -119,7 +119,7 @@ def test_stored_speeds_come_first(tmp_path: Path) -> None:
     expected = forecast(plan, layout)
     assert [expected.seconds[job.id] for job in plan.jobs if job.method == "oracle"] == [33.0] * 2
     assert "2 of 4 jobs from the speed of stored runs, the rest an estimate" in in_words(expected, 1)
-    assert forecast(toy(overrides={"agent.batch": 8}), layout).measured == 0
+    assert forecast(toy(overrides=["agent.batch=8"]), layout).measured == 0
 
 
 def test_speed_of_unfinished_runs(tmp_path: Path) -> None:

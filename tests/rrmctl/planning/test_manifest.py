@@ -55,7 +55,7 @@ def test_every_section(tmp_path: Path) -> None:
     )
     read = manifest.load(write(tmp_path, text))
     assert read.methods["pebble"].prior == "p.py:f"
-    assert read.methods["pebble"].settings == {"agent": {"hidden": 8}}
+    assert read.methods["pebble"].model_extra == {"agent": {"hidden": 8}}
     assert read.grids[0].include[0].set == {"agent": {"batch": 64}}
     assert (read.tasks, read.teachers) == ({"toy-car": {"steps": 5}}, {"tired": {"mistake": 0.5}})
     assert (read.feedback, read.profiles) == ({"rare": {"every": 7}}, {"smoke": {"steps": 9}})

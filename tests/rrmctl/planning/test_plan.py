@@ -200,7 +200,7 @@ def test_profile_sections_and_set_are_literal() -> None:
     """What is said for one profile, or on the command line, is not scaled."""
     experiment = made(profile={"smoke": {"steps": 700}})
     assert config(make_plan(experiment, profile="smoke")).steps == 700
-    assert config(make_plan(experiment, profile="smoke", overrides={"steps": 900})).steps == 900
+    assert config(make_plan(experiment, profile="smoke", overrides=["steps=900"])).steps == 900
 
 
 def test_paired_axes() -> None:
@@ -462,7 +462,8 @@ def test_variants() -> None:
     """Profile and overrides name the variant; the order of overrides does not matter."""
     assert make_plan(made()).variant == "paper"
     one, two = {"steps": 5000, "agent.batch": 32}, {"agent.batch": 32, "steps": 5000}
-    assert variant("smoke", one) == variant("smoke", two) == make_plan(made(), profile="smoke", overrides=one).variant
+    typed = make_plan(made(), profile="smoke", overrides=["steps=5000", "agent.batch=32"])
+    assert variant("smoke", one) == variant("smoke", two) == typed.variant
     assert len({variant("smoke", {}), variant("paper", {}), variant("smoke", one), variant("smoke", {"steps": 1})}) == 4
 
 
