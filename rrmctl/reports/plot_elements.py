@@ -5,20 +5,17 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from rrm.envs.tasks import ScoreKind
 from rrmctl.labels import ORACLE
-from rrmctl.reports.figure_layout import Slot
+from rrmctl.reports.figure_layout import Axes, Slot
 from rrmctl.reports.iqm_curves import ALL_TASKS, across_tasks
 from rrmctl.reports.series import Floats, Panel, Section, Series, Steps
 from rrmctl.reports.styles import Looks, Style
 from rrmctl.stats import CommonStep, IqmKind, iqm, quartiles
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
 
 UNITS = {"success": "Success rate (%)", "return": "Return (true reward)"}
 
@@ -62,11 +59,9 @@ def scaled(series: Series) -> Floats:
 
 def step_axis(axes: Axes, last: int) -> None:
     """From zero to the last step, with ticks like 500k."""
-    from matplotlib.ticker import FuncFormatter, MaxNLocator
-
     axes.set_xlim(0, 1.03 * last)
-    axes.xaxis.set_major_locator(MaxNLocator("auto", steps=[1, 2, 2.5, 5, 10], min_n_ticks=3))
-    axes.xaxis.set_major_formatter(FuncFormatter(lambda steps, _: short_steps(steps)))
+    axes.locator_params("x", min_n_ticks=3)
+    axes.xaxis.set_major_formatter(lambda steps, _: short_steps(steps))
 
 
 def score_axis(axes: Axes, score: str) -> None:
@@ -122,7 +117,7 @@ def readings(section: Section, rule: Callable[[Panel], CommonStep]) -> list[Fina
     A method is pooled where it has runs on all of the tasks.
     """
     panels = [panel for panel in section.panels() if panel.comparable()]
-    single = {}
+    single, pooled, groups = {}, [], across_tasks(panels)
     for panel in panels:
         read = rule(panel)
         strata = {
@@ -130,7 +125,6 @@ def readings(section: Section, rule: Callable[[Panel], CommonStep]) -> list[Fina
             for series in panel.present()
         }
         single[panel] = FinalScores(panel_name(panel, panels), panel.score, strata, (panel,), read)
-    groups, pooled = across_tasks(panels), []
     for group in groups:  # several of them are told apart by teacher and schedule
         name = f"{ALL_TASKS}, {group[0].teacher}, {group[0].feedback}" if len(groups) > 1 else ALL_TASKS
         tasks = [single[panel].strata for panel in group]

@@ -44,7 +44,11 @@ def write(bundle: Bundle, folder: Path) -> list[Path]:
                 "format": "csv",
                 "encoding": "utf-8",
                 "schema": {
-                    "fields": [_described(column, *meanings[name](column)) for column in map(str, frame)],
+                    "fields": [
+                        {"name": column, "type": kind, **({"unit": unit} if unit else {}), "description": meaning}
+                        for column in map(str, frame)
+                        for kind, unit, meaning in [meanings[name](column)]
+                    ],
                     "missingValues": [""],
                 },
             }
@@ -62,7 +66,3 @@ def write(bundle: Bundle, folder: Path) -> list[Path]:
     for name, text in texts.items():
         write_bytes(folder / name, text.encode())
     return [folder / name for name in texts]
-
-
-def _described(column: str, kind: str, unit: str, meaning: str) -> dict[str, str]:
-    return {"name": column, "type": kind, **({"unit": unit} if unit else {}), "description": meaning}

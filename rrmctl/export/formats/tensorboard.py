@@ -17,7 +17,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rrmctl.export import require
+from rrmctl.export.formats import require
 from rrmctl.store.files import write_bytes
 from rrmctl.store.inventory import Run, settings
 

@@ -5,16 +5,11 @@ Where an experiment has such pairs (`rrm-P` and `sac-P`), it draws what the lear
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
-from rrmctl.reports.figure_layout import from_frames, sheet
+from rrmctl.reports.figure_layout import Figure, from_frames, sheet
 from rrmctl.reports.plot_elements import curves_slot, iqm_notes, panel_name
 from rrmctl.reports.series import Panel, Section, Series
 from rrmctl.reports.statistics import DEFAULTS, Statistics
 from rrmctl.reports.styles import ALONE, parts
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 
 def suits(section: Section) -> bool:

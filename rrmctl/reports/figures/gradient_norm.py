@@ -5,24 +5,20 @@ Drawn of runs that left `gradients.parquet`: of the method `finetune` and those 
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
+import pandas as pd
 
-from rrmctl.reports.figure_layout import Slot, nothing, one_section, sheet
+from rrmctl.errors import UserError
+from rrmctl.reports.figure_layout import Axes, Figure, Slot, one_section, sheet
 from rrmctl.reports.plot_elements import curve, panel_name, step_axis
 from rrmctl.reports.series import Section, Series
 from rrmctl.reports.statistics import DEFAULTS, Statistics, Width
 from rrmctl.reports.styles import Looks
 from rrmctl.stats import IqmKind
 from rrmctl.store.gradients import load_gradients
-
-if TYPE_CHECKING:
-    import pandas as pd
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 #: Over the length of a run: norms jump from minibatch to minibatch.
 _BINS = 60
@@ -46,34 +42,38 @@ def gradient_norms(
     kind: IqmKind = "rliable",
     width: Width = "page",
 ) -> Figure:
-    """The same in a notebook: `gradients` as `rrmctl.store.load_gradients` returns it, the rest as for other figures.
-
-    Raises:
-        UserError: several variants or experiments at once, or no norms of these runs.
-    """
+    """The same in a notebook; `gradients` as `rrmctl.store.load_gradients` returns it, the rest as everywhere."""
     return draw(one_section(rows, jobs), Statistics(kind=kind, width=width), gradients)
 
 
 def draw(section: Section, settings: Statistics = DEFAULTS, gradients: pd.DataFrame | None = None) -> Figure:
     """A panel for each task, with the median norm in each sixtieth of the steps, before and after the change."""
+    every = [run for series in section.series for run in series.runs]
     if gradients is None:
         if section.source is None:
-            raise nothing(section, "no gradients beside the curves")
-        gradients = load_gradients(section.source.root, [run for series in section.series for run in series.runs])
+            where = f"{section.experiment}, profile {section.profile}"
+            raise UserError(f"{where}: no gradients beside the curves to draw", "hand them over, as `gradients`")
+        gradients = load_gradients(section.source.root, every)
     panels, looks, normed = section.panels(), section.looks(), set(gradients["run"])
     shown = {
         panel_name(panel, panels): [_only(series, normed) for series in panel.present() if normed & {*series.runs}]
         for panel in panels
     }
+    notes = [
+        f"Median over the gradient steps in each {_BINS}th of the run, then the interquartile mean over seeds "
+        f"({settings.kind}). Band: 25 to 75 % of the seeds. Grey: where the loss changes.",
+        f"Norms of {len(normed.intersection(every))} runs.",
+    ]
+    for series in section.series:
+        runs = zip(series.seeds, series.runs, strict=True)
+        lacking = [f"{run} (seed {seed})" for seed, run in runs if run not in normed]
+        if 0 < len(lacking) < series.n:  # others of its series left norms
+            notes.append(f"No norms of {series.label}: {', '.join(lacking)}.")
     return sheet(
         section,
         settings,
         [_slot(gradients, name, series, looks, settings.kind) for name, series in shown.items() if series],
-        notes=[
-            f"Median over the gradient steps in each {_BINS}th of the run, then the interquartile mean over seeds "
-            f"({settings.kind}). Band: 25 to 75 % of the seeds. Grey: where the loss changes.",
-            *_counted(section, normed),
-        ],
+        notes=notes,
         lacking="no norms of gradients",
     )
 
@@ -83,16 +83,6 @@ def _only(series: Series, normed: set[str]) -> Series:
     left = [at for at, run in enumerate(series.runs) if run in normed]
     seeds, runs = tuple(series.seeds[at] for at in left), tuple(series.runs[at] for at in left)
     return replace(series, values=series.values[left], seeds=seeds, runs=runs)
-
-
-def _counted(section: Section, normed: set[str]) -> Iterator[str]:
-    """How many runs left norms, and which did not though others of their series did."""
-    yield f"Norms of {len(normed.intersection(run for series in section.series for run in series.runs))} runs."
-    for series in section.series:
-        runs = zip(series.seeds, series.runs, strict=True)
-        lacking = [f"{run} (seed {seed})" for seed, run in runs if run not in normed]
-        if 0 < len(lacking) < series.n:
-            yield f"No norms of {series.label}: {', '.join(lacking)}."
 
 
 def _slot(gradients: pd.DataFrame, name: str, shown: Sequence[Series], looks: Looks, kind: IqmKind) -> Slot:

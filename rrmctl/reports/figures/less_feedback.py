@@ -6,17 +6,18 @@ small hollow one above or below it is the interquartile mean at the last step. O
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from operator import attrgetter
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from rrmctl.errors import UserError
 from rrmctl.labels import NOTHING_ASKED
 from rrmctl.planning.schedules import Schedule
-from rrmctl.reports.figure_layout import Slot, from_frames, sheet
+from rrmctl.reports.figure_layout import Axes, Figure, Slot, from_frames, sheet
 from rrmctl.reports.iqm_curves import ALL_TASKS
 from rrmctl.reports.plot_elements import UNITS, score_axis, short_steps
 from rrmctl.reports.scores import read_together, score
@@ -24,10 +25,6 @@ from rrmctl.reports.series import Floats, Section, Series
 from rrmctl.reports.statistics import DEFAULTS, SURE, Statistics
 from rrmctl.reports.styles import Looks
 from rrmctl.stats import iqm
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,10 +47,10 @@ def suits(section: Section) -> bool:
 def draw(section: Section, settings: Statistics = DEFAULTS) -> Figure:
     """For each task, and for the mean of the success tasks, a panel for each respect in which schedules differ."""
     (sweeps, apart), looks = _sweeps(section), section.looks()
-    groups: dict[Any, list[Sweep]] = {}  # over the same schedules under the same teacher
+    groups = defaultdict[Any, list[Sweep]](list)  # over the same schedules under the same teacher
     for sweep in sweeps:
         if sweep.score == "success":
-            groups.setdefault((sweep.field, sweep.teacher, sweep.schedules), []).append(sweep)
+            groups[sweep.field, sweep.teacher, sweep.schedules].append(sweep)
     means = [group for group in groups.values() if len(group) > 1]
     several = len({sweep.teacher for sweep in sweeps}) > 1
     return sheet(
@@ -74,24 +71,24 @@ def draw(section: Section, settings: Statistics = DEFAULTS) -> Figure:
 def _sweeps(section: Section) -> tuple[list[Sweep], list[str]]:
     """The comparisons of schedules that the section holds, task by task, and why some tasks have none."""
     sweeps, apart = [], []
-    tasks: dict[str, list[Series]] = {}
+    tasks = defaultdict[str, list[Series]](list)
     for series in section.series:
         if series.n and series.label.feedback != NOTHING_ASKED:
-            tasks.setdefault(series.label.task, []).append(series)
+            tasks[series.label.task].append(series)
     for task, asking in tasks.items():
         try:
             _, values = read_together(asking)
         except UserError as error:
             apart.append(str(error))
             continue
-        by_teacher: dict[str, dict[tuple[str, Schedule], Series]] = {}
-        for series in values:
+        taught = defaultdict[str, dict[tuple[str, Schedule], Floats]](dict)
+        for series, scores in values.items():
             schedule = Schedule.of(series.label.feedback)
             if schedule and not schedule.name:
-                by_teacher.setdefault(series.label.teacher, {})[series.label.method, schedule] = series
-        for teacher, taught in by_teacher.items():
-            for field, chosen in _compared({schedule for _, schedule in taught}):
-                own = {key: values[series] for key, series in taught.items() if key[1] in chosen}
+                taught[series.label.teacher][series.label.method, schedule] = scores
+        for teacher, points in taught.items():
+            for field, chosen in _compared({schedule for _, schedule in points}):
+                own = {key: scores for key, scores in points.items() if key[1] in chosen}
                 sweeps.append(Sweep(task, teacher, asking[0].score, field, chosen, own))
     return sweeps, apart
 

@@ -6,20 +6,14 @@ success tasks are pooled.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
-from rrmctl.reports.figure_layout import Slot, from_frames, sheet
+from rrmctl.reports.figure_layout import Axes, Figure, Slot, from_frames, sheet
 from rrmctl.reports.plot_elements import UNITS, FinalScores, last_step, line, readings, score_axis
 from rrmctl.reports.series import Section
 from rrmctl.reports.statistics import BOOTSTRAP_SEED, DEFAULTS, LEVEL, SURE, Statistics
 from rrmctl.reports.styles import Looks
 from rrmctl.stats import MIN_RUNS, performance_profile
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 #: Scores at which the shares are taken.
 _POINTS = 201
