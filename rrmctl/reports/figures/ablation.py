@@ -20,17 +20,14 @@ def suits(section: Section) -> bool:
 def draw(section: Section, settings: Statistics = DEFAULTS) -> Figure:
     """A panel for each task and prior: the residual model, the prior alone, and what stands on no prior."""
     panels, looks = section.panels(), section.looks()
-    return sheet(
-        section,
-        settings,
-        [
-            curves_slot(f"{panel_name(panel, panels)}: {prior}", series, looks, settings.kind)
-            for panel in panels
-            for prior, series in pairs(panel).items()
-        ],
-        notes=["Filled: with the residual; hollow and dashed: the prior alone.", *iqm_notes(section, settings.kind)],
-        lacking="no prior with runs both with and without the residual",
-    )
+    slots = [
+        curves_slot(f"{panel_name(panel, panels)}: {prior}", series, looks, settings.kind)
+        for panel in panels
+        for prior, series in pairs(panel).items()
+    ]
+    notes = ["Filled: with the residual; hollow and dashed: the prior alone.", *iqm_notes(section, settings.kind)]
+    lacking = "no prior with runs both with and without the residual"
+    return sheet(section, settings, slots, notes=notes, lacking=lacking)
 
 
 def pairs(panel: Panel) -> dict[str, list[Series]]:

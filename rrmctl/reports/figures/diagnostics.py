@@ -35,24 +35,20 @@ def draw(section: Section, settings: Statistics = DEFAULTS) -> Figure:
     shown, methods, panels = _residual(section, _OPPOSITE) or _residual(section), section.looks(), section.panels()
     own = {series.label.method: _looks(methods[series.label.method].color) for series in shown}
     looks = next(iter(own.values())) if len(own) == 1 else _looks(_ANY)
-    return sheet(
-        section,
-        settings,
-        [
-            _slot(panel_name(panel, panels), unit, series, own[series.label.method], settings.kind)
-            for panel in panels
-            for series in panel.present()
-            if series in shown
-            for unit in _PANELS
-        ],
-        legend={name: looks[column] for columns in _PANELS.values() for column, name in columns.items()},
-        notes=[
-            "Rewards: means over the transitions since the evaluation before.",
-            f"Seeds: {'; '.join(f'{series.label}: {series.n}' for series in shown)}.",
-            *iqm_notes(section, settings.kind),
-        ],
-        lacking="no residual model",
-    )
+    slots = [
+        _slot(panel_name(panel, panels), unit, series, own[series.label.method], settings.kind)
+        for panel in panels
+        for series in panel.present()
+        if series in shown
+        for unit in _PANELS
+    ]
+    legend = {name: looks[column] for columns in _PANELS.values() for column, name in columns.items()}
+    notes = [
+        "Rewards: means over the transitions since the evaluation before.",
+        f"Seeds: {'; '.join(f'{series.label}: {series.n}' for series in shown)}.",
+        *iqm_notes(section, settings.kind),
+    ]
+    return sheet(section, settings, slots, legend=legend, notes=notes, lacking="no residual model")
 
 
 def _residual(section: Section, prior: str | None = None) -> list[Series]:

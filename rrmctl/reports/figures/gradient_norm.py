@@ -69,13 +69,8 @@ def draw(section: Section, settings: Statistics = DEFAULTS, gradients: pd.DataFr
         lacking = [f"{run} (seed {seed})" for seed, run in runs if run not in normed]
         if 0 < len(lacking) < series.n:  # others of its series left norms
             notes.append(f"No norms of {series.label}: {', '.join(lacking)}.")
-    return sheet(
-        section,
-        settings,
-        [_slot(gradients, name, series, looks, settings.kind) for name, series in shown.items() if series],
-        notes=notes,
-        lacking="no norms of gradients",
-    )
+    slots = [_slot(gradients, name, series, looks, settings.kind) for name, series in shown.items() if series]
+    return sheet(section, settings, slots, notes=notes, lacking="no norms of gradients")
 
 
 def _only(series: Series, normed: set[str]) -> Series:

@@ -32,16 +32,9 @@ def draw(section: Section, settings: Statistics = DEFAULTS) -> Figure:
     """Smoothed learning curves, a panel for each task that people taught (of every task, where they taught none)."""
     panels, looks = section.panels(), section.looks()
     shown = [panel for panel in panels if panel.teacher == HUMAN] or panels
-    return sheet(
-        section,
-        settings,
-        [_slot(panel_name(panel, panels), panel.present(), looks, settings.kind) for panel in shown],
-        notes=[
-            f"Each seed is smoothed: centred mean over {WINDOW} evaluations, fewer at the ends. Thin: not smoothed.",
-            *iqm_notes(section, settings.kind),
-        ],
-        lacking="no run",
-    )
+    slots = [_slot(panel_name(panel, panels), panel.present(), looks, settings.kind) for panel in shown]
+    note = f"Each seed is smoothed: centred mean over {WINDOW} evaluations, fewer at the ends. Thin: not smoothed."
+    return sheet(section, settings, slots, notes=[note, *iqm_notes(section, settings.kind)], lacking="no run")
 
 
 def _slot(name: str, shown: Sequence[Series], looks: Looks, kind: IqmKind) -> Slot:

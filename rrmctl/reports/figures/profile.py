@@ -26,17 +26,12 @@ def suits(section: Section) -> bool:
 
 def draw(section: Section, settings: Statistics = DEFAULTS) -> Figure:
     """A panel for the success tasks together, and one for each task that is scored by return."""
-    cells, looks = _readings(section), section.looks()
-    return sheet(
-        section,
-        settings,
-        [_slot(cell, looks, settings) for cell in cells],
-        notes=[
-            "Line: share of the runs whose score at the last step is higher. "
-            f"Band: {SURE} at each score by itself, bootstrap over seeds, stratified by task.",
-        ],
-        lacking=f"no two methods with {MIN_RUNS} runs each",
-    )
+    looks = section.looks()
+    slots = [_slot(cell, looks, settings) for cell in _readings(section)]
+    line_note = "Line: share of the runs whose score at the last step is higher."
+    band_note = f"Band: {SURE} at each score by itself, bootstrap over seeds, stratified by task."
+    lacking = f"no two methods with {MIN_RUNS} runs each"
+    return sheet(section, settings, slots, notes=[line_note, band_note], lacking=lacking)
 
 
 def _readings(section: Section) -> list[FinalScores]:
