@@ -5,7 +5,10 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from functools import partial
-from typing import TYPE_CHECKING
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TaskID, TaskProgressColumn, TextColumn
+from rich.text import Text
 
 from rrmctl.cli.request import duration
 from rrmctl.running.scheduler import Ending, Outcome, Stage
@@ -13,10 +16,6 @@ from rrmctl.running.supervisor import Assignment
 from rrmctl.store.layout import Layout
 from rrmctl.store.reader import log_tail
 from rrmctl.store.status import ErrorKind
-
-if TYPE_CHECKING:
-    from rich.console import Console
-    from rich.progress import TaskID
 
 #: Least time between two lines about the evaluations of one job, seconds.
 _EVERY_S = 10.0
@@ -82,8 +81,6 @@ class Lines:
         """Nothing moves."""
 
     def say(self, job: str, text: str, style: str | None = None) -> None:
-        from rich.text import Text
-
         line = Text.assemble((time.strftime("%H:%M:%S "), "dim"), (self._jobs[job].label, "bold"), ": ")
         self.console.print(line.append(text, style), soft_wrap=True)
 
@@ -92,8 +89,6 @@ class Bars(Lines):
     """Lines, and below them a bar for each running job and one for all."""
 
     def __init__(self, console: Console, layout: Layout, assignments: Sequence[Assignment]) -> None:
-        from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn
-
         super().__init__(console, layout, assignments)
         self.progress = Progress(
             TextColumn("{task.description}", markup=False),

@@ -6,7 +6,7 @@ import inspect
 from collections.abc import Callable
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
@@ -16,12 +16,9 @@ from rrmctl.cli.screen import tell
 from rrmctl.errors import UserError
 from rrmctl.export.formats import formats
 from rrmctl.reports.figures import figures
-from rrmctl.reports.plugins import choose
+from rrmctl.reports.plugins import Entry, choose
 from rrmctl.reports.tables import explained, kinds
 from rrmctl.terminal import spelled, stdout_console
-
-if TYPE_CHECKING:
-    from rrmctl.reports.plugins import Entry
 
 report_app = typer.Typer(no_args_is_help=True, help="Tables from the store, with intervals and what is missing.")
 

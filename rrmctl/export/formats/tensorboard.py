@@ -17,14 +17,13 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from rrmctl.export.bundle import Bundle
 from rrmctl.export.formats import require
 from rrmctl.store.files import write_bytes
 from rrmctl.store.inventory import Run, settings
 
 if TYPE_CHECKING:
     from tensorboard.compat.proto.event_pb2 import Event
-
-    from rrmctl.export.bundle import Bundle
 
 #: Always the same, so that a second export takes the place of the first.
 _FILE = "events.out.tfevents.rrmctl"

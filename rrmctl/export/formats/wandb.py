@@ -19,15 +19,13 @@ import tempfile
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from rrm.environ import environment
 from rrmctl.errors import UserError
+from rrmctl.export.bundle import Bundle
 from rrmctl.export.formats import require
 from rrmctl.store.files import read_json, storage_error, write_json
-
-if TYPE_CHECKING:
-    from rrmctl.export.bundle import Bundle
 
 #: In each exported run's folder: marks it as ours, and says what it holds.
 _MARK = "rrmctl.json"
