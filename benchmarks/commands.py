@@ -21,16 +21,17 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.lines import Line
-from rrmctl.cli.request import job_record
 from rrmctl.planning.manifest import load
-from rrmctl.planning.plan import Job, Plan, make_plan
+from rrmctl.planning.plan import Plan, make_plan
 from rrmctl.running.config_file import config_content
 from rrmctl.store.curve import SETTINGS, table_of
-from rrmctl.store.files import try_lock, write_table
+from rrmctl.store.files import write_table
 from rrmctl.store.layout import Layout, RunFolder
+from rrmctl.store.locks import try_lock
+from rrmctl.store.provenance import record_config
 from rrmctl.store.schema import IDENTITY, MEASURED
-from rrmctl.store.status import RunState, Status, record_config, write_status
-from rrmctl.store.sweeps import SweepRecord, record_sweep
+from rrmctl.store.status import RunState, Status, write_status
+from rrmctl.store.sweeps import Job, SweepRecord, record_sweep
 
 EXPERIMENTS = Path(__file__).parents[1] / "experiments"
 PROGRAM = (sys.executable, "-c", "from rrmctl.cli.app import main; main()")
@@ -75,27 +76,26 @@ def plan_of(experiment: str, seeds: int) -> Plan:
     return make_plan(load(EXPERIMENTS / f"{experiment}.toml"), profile=PROFILE, seeds=seeds)
 
 
-def write_sweep(layout: Layout, plan: Plan, write: Callable[[int, Job, RunFolder], None]) -> None:
+def write_sweep(layout: Layout, plan: Plan, write: Callable[[int, Plan, Job, RunFolder], None]) -> None:
     """A sweep's record, and each of its runs as `write` has it. Threads, because every write waits for the disk."""
-    jobs = tuple(job_record(job) for job in plan.jobs)
     record = SweepRecord(
-        experiment=plan.experiment, variant=plan.variant, profile=plan.profile, overrides=plan.overrides, jobs=jobs
+        experiment=plan.experiment, variant=plan.variant, profile=plan.profile, overrides=plan.overrides, jobs=plan.jobs
     )
     record_sweep(layout, record)
     with ThreadPoolExecutor(max_workers=32) as threads:
-        list(threads.map(lambda at, job: write(at, job, layout.run(job.id)), itertools.count(), plan.jobs))
+        list(threads.map(lambda at, job: write(at, plan, job, layout.run(job.id)), itertools.count(), plan.jobs))
 
 
-def write_progress(number: int, job: Job, folder: RunFolder) -> None:
+def write_progress(number: int, _plan: Plan, job: Job, folder: RunFolder) -> None:
     """Where a run stands in a sweep under way. What says it is running has lost its process: nobody holds its lock."""
     states = [state for state, share in SHARES.items() for _ in range(share)]
     state = states[number % len(states)]
     if state is RunState.QUEUED:
         return
-    step = job.config.steps if state is RunState.DONE else job.config.steps // 3
+    step = job.steps if state is RunState.DONE else job.steps // 3
     descriptor = try_lock(folder.lock)
     assert descriptor is not None
-    write_status(folder, _status(state, step, job.config.steps))
+    write_status(folder, _status(state, step, job.steps))
     os.close(descriptor)
 
 
@@ -107,11 +107,11 @@ def _status(state: RunState, step: int, steps: int) -> Status:
     )  # fmt: skip
 
 
-def write_curve(number: int, job: Job, folder: RunFolder) -> None:
+def write_curve(number: int, plan: Plan, job: Job, folder: RunFolder) -> None:
     """A run that is done: its configuration, its evaluations, its state."""
     rng = np.random.default_rng(number)
     success = rng.binomial(10, np.clip(rng.uniform(0.2, 1.2) * np.linspace(0.0, 1.0, EVALUATIONS), 0.0, 1.0)) / 10
-    config, steps = config_content(job.config), job.config.steps
+    config, steps = config_content(plan.configs[job.id]), job.steps
     identity = {name: config["id" if name == "run" else name] for name in IDENTITY}
     rows = []
     for at, share in enumerate(success, start=1):

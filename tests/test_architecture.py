@@ -31,7 +31,7 @@ KNOW_RRM = {
         "planning.layering",
         "planning.prerequisites",
     ),  # names and settings become configurations
-    "running.demos",  # collects demonstrations that people ask for
+    "running.experts",  # collects demonstrations that people ask for
     *("running.config_file", "running.worker"),  # a configuration's way into the process that trains
     "cli.prior",  # candidates of a language model become priors of the library
 }
@@ -54,11 +54,12 @@ FLOORS = {
         "envs": 1, "nets": 1, "losses": 1,
     },
     "rrmctl": {
-        "__main__": 5,
-        "cli": 4,
-        "export": 3,
-        "reports": 2, "running": 2, "doctor": 2,
-        "planning": 1, "store": 1, "stats": 1,
+        "__main__": 6,
+        "cli": 5,
+        "export": 4,
+        "reports": 3, "running": 3, "doctor": 3,
+        "planning": 2,
+        "store": 1, "stats": 1,
     },
 }  # fmt: skip
 #: Where a name or a text becomes something that runs, and how: names in our own tables, `file.py:function` of the

@@ -16,16 +16,13 @@ from typer.core import TyperGroup
 import rrm
 from rrm.environ import environment
 from rrm.errors import RrmError
-from rrmctl.cli import clean, demos, plan, prior, report, run, show, status
+from rrmctl.cli import demos, plan, prior, report, run, show, status
 from rrmctl.errors import Exit, UserError, room_error
 from rrmctl.terminal import UndeliveredError, attend, console
 
-#: Conditions of the machine rather than bugs of the program.
+#: Conditions of the machine rather than bugs of the program; and of names that no file can have.
 _MACHINE = {errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOSPC, errno.EDQUOT}
-
-#: Names that no file can have.
 _NAMES = {errno.ENAMETOOLONG, errno.ELOOP}
-
 
 #: Options that name a file or folder to be written to, or read.
 _PLACES = {"--results", "--experiments", "-o", "--output", "--into", "--prompt"}
@@ -48,18 +45,21 @@ class _Commands(TyperGroup):
 
     def invoke(self, ctx: Any) -> Any:  # the context is click's, or typer's copy of it, as its version has it
         try:
-            _stand_somewhere()
+            try:
+                Path.cwd()
+            except FileNotFoundError:  # nothing can be named from a folder that was removed
+                raise UserError("the folder this command runs in is gone", "change into one that is there") from None
             return super().invoke(ctx)
         except KeyboardInterrupt:
             raise typer.Exit(Exit.INTERRUPTED) from None
         except typer.Abort:  # the end of standard input, where a question was asked
             raise typer.Exit(Exit.INCOMPLETE) from None
         except Exception as error:
-            told = _for_people(error)
-            if told is None:
+            message = _for_people(error)
+            if message is None:
                 raise
-            _say(str(told), told.hint)
-            raise typer.Exit(told.code) from None
+            _say(str(message), message.hint)
+            raise typer.Exit(message.code) from None
 
 
 def _for_people(error: Exception) -> UserError | None:
@@ -73,14 +73,6 @@ def _for_people(error: Exception) -> UserError | None:
             hint = "free space or choose another --results DIR" if number in _MACHINE else None
             return UserError(f"{error.filename or 'the file system'}: {error.strerror}", hint)
     return room_error(error)
-
-
-def _stand_somewhere() -> None:
-    """Nothing can be named from a folder that was removed."""
-    try:
-        Path.cwd()
-    except FileNotFoundError:
-        raise UserError("the folder this command runs in is gone", "change into one that is there") from None
 
 
 def _say(message: str, hint: str | None) -> None:
@@ -129,7 +121,7 @@ def rrmctl(
 
 _COMMANDS = (
     *(plan.list_, plan.plan, run.run, status.status, run.resume, show.show),
-    *(report.plot, report.export, clean.clean, plan.doctor),
+    *(report.plot, report.export, status.clean, plan.doctor),
 )
 for _command in _COMMANDS:
     app.command(_command.__name__.rstrip("_"))(_command)  # list_ is the command `list`

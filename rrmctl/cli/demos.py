@@ -42,14 +42,14 @@ def collect(
 
       rrmctl run main-results --methods rrm-imitation --set imitation.demos=mine.safetensors
     """
-    from rrmctl.running import demos
+    from rrmctl.running import experts
     from rrmctl.store.files import storage_error
-    from rrmctl.store.reader import find_run, open_results
+    from rrmctl.store.layout import find_run, open_results
 
     if run is not None and scripted is None:
-        played = demos.of_run(find_run(open_results(results), run), episodes, seed, least_success)
+        played = experts.play_run(find_run(open_results(results), run), episodes, seed, least_success)
     elif scripted is not None and run is None:
-        played = demos.of_script(scripted, episodes, seed, least_success)
+        played = experts.play_script(scripted, episodes, seed, least_success)
     else:
         raise UserError("whose demonstrations?", "name a finished run with --run, or a task with --scripted")
     try:
@@ -62,6 +62,6 @@ def collect(
 @demos_app.command()
 def show(file: Annotated[Path, typer.Argument(parser=place, metavar="FILE", help="A file of demonstrations.")]) -> None:
     """Show where demonstrations come from, how many there are and how good they are, as JSON."""
-    from rrmctl.running import demos
+    from rrmctl.running import experts
 
-    typer.echo(json.dumps(demos.read(file), indent=1))
+    typer.echo(json.dumps(experts.summary(file), indent=1))

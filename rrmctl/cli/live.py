@@ -11,11 +11,10 @@ from rich.progress import BarColumn, Progress, TaskID, TaskProgressColumn, TextC
 from rich.text import Text
 
 from rrmctl.cli.request import duration
-from rrmctl.running.scheduler import Ending, Outcome, Stage
-from rrmctl.running.supervisor import Assignment
+from rrmctl.running.scheduler import Outcome, Stage
 from rrmctl.store.layout import Layout
-from rrmctl.store.reader import log_tail
-from rrmctl.store.status import ErrorKind
+from rrmctl.store.status import ErrorKind, log_tail
+from rrmctl.store.sweeps import Job
 
 #: Least time between two lines about the evaluations of one job, seconds.
 _EVERY_S = 10.0
@@ -25,12 +24,12 @@ _OVER = (Stage.DONE, Stage.FAILED, Stage.BLOCKED)
 class Lines:
     """Says every event worth keeping as one line on the console: started, evaluated, failed, done."""
 
-    def __init__(self, console: Console, layout: Layout, assignments: Sequence[Assignment]) -> None:
+    def __init__(self, console: Console, layout: Layout, jobs: Sequence[Job]) -> None:
         self.console = console
         self.over = 0  #: jobs done or failed
-        self.total = len(assignments)
+        self.total = len(jobs)
         self._layout = layout
-        self._jobs = {assignment.id: assignment for assignment in assignments}
+        self._jobs = {job.id: job for job in jobs}
         self._said: dict[str, float] = {}
 
     def started(self, job: str, attempt: int) -> None:
@@ -52,17 +51,17 @@ class Lines:
             self.over += 1
         error, folder = outcome.error, self._layout.run(job)
         match outcome.ending:
-            case Ending.DONE:
+            case Stage.DONE:
                 self.say(job, f"done ({self.over} of {self.total})", style="green")
-            case Ending.STOPPED:
+            case Stage.STOPPED:
                 self.say(job, "stopped; it goes on from its checkpoint", style="yellow")
-            case Ending.ELSEWHERE:
+            case Stage.ELSEWHERE:
                 self.say(job, "is run by another process", style="dim")
-            case Ending.BLOCKED:
+            case Stage.BLOCKED:
                 self.say(job, f"not run: {error}", style="red")
-            case Ending.FAILED if error and error.kind is ErrorKind.WAITING:
+            case Stage.FAILED if error and error.kind is ErrorKind.WAITING:
                 self.say(job, f"waits for {error}", style="yellow")
-            case Ending.FAILED:
+            case Stage.FAILED:
                 after = {Stage.WAITING: "will be tried again", Stage.FAILED: "failed"}.get(phase, "stopped")
                 self.say(job, f"{after}: {error}", style="red")
                 if error and error.kind not in (ErrorKind.REFUSED, ErrorKind.STORAGE, ErrorKind.MISSING):
@@ -88,8 +87,8 @@ class Lines:
 class Bars(Lines):
     """Lines, and below them a bar for each running job and one for all."""
 
-    def __init__(self, console: Console, layout: Layout, assignments: Sequence[Assignment]) -> None:
-        super().__init__(console, layout, assignments)
+    def __init__(self, console: Console, layout: Layout, jobs: Sequence[Job]) -> None:
+        super().__init__(console, layout, jobs)
         self.progress = Progress(
             TextColumn("{task.description}", markup=False),
             BarColumn(),

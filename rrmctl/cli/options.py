@@ -10,97 +10,61 @@ from typing import Annotated
 import typer
 
 from rrm.files import place
-from rrmctl import commands
+from rrmctl.commands import DEFAULT_RESULTS as DEFAULT_RESULTS  # noqa: PLC0414 (for the commands)
 from rrmctl.errors import UserError
 
-DEFAULT_RESULTS = commands.DEFAULT_RESULTS
+# For the shell, which picks those that start with what was typed.
 
 
-def default_experiments() -> Path | None:
-    """The folder of the user's manifests without --experiments; None for the one that need not be there."""
-    folder = os.environ.get("RRMCTL_EXPERIMENTS")
-    return place(folder) if folder else None
-
-
-def complete_experiment(incomplete: str) -> list[str]:
-    """For the shell: experiments whose name starts with what was typed."""
+def _experiments() -> list[str]:
     from rrmctl.planning.experiments import available
 
+    folder = os.environ.get("RRMCTL_EXPERIMENTS")
     with contextlib.suppress(UserError):  # no such folder
-        return [name for name in available(default_experiments()) if name.startswith(incomplete)]
+        return list(available(place(folder) if folder else None))
     return []
 
 
-def complete_profile(incomplete: str) -> list[str]:
-    """For the shell: profiles whose name starts with what was typed."""
+def _profiles() -> list[str]:
     from rrmctl.planning.profiles import profiles
 
-    return [name for name in profiles() if name.startswith(incomplete)]
+    return list(profiles())
 
 
-def complete_setting(incomplete: str) -> list[str]:
-    """For the shell: settings that can follow --set."""
+def _settings() -> list[str]:
     from rrmctl.planning.settings import known_settings
 
-    return [f"{name}=" for name in known_settings() if name.startswith(incomplete)]
+    return [f"{name}=" for name in known_settings()]
 
 
-ExperimentArgument = Annotated[
-    str,
-    typer.Argument(
-        metavar="NAME",
-        help="An experiment of `rrmctl list`, or the path of a manifest of your own.",
-        autocompletion=complete_experiment,
-    ),
-]
+ExperimentArgument = Annotated[str, typer.Argument(
+    metavar="NAME", autocompletion=_experiments,
+    help="An experiment of `rrmctl list`, or the path of a manifest of your own.",
+)]  # fmt: skip
 ResultsOption = Annotated[
-    Path, typer.Option("--results", parser=place, metavar="DIR", envvar="RRMCTL_RESULTS", help="Where runs are kept.")
+    Path, typer.Option(parser=place, metavar="DIR", envvar="RRMCTL_RESULTS", help="Where runs are kept.")
 ]
-ExperimentsOption = Annotated[
-    Path | None,
-    typer.Option(
-        "--experiments",
-        parser=place,
-        metavar="DIR",
-        envvar="RRMCTL_EXPERIMENTS",
-        help="Where manifests of your own are, beside those of rrmctl. Default: experiments.",
-    ),
-]
-ProfileOption = Annotated[
-    str | None,
-    typer.Option(
-        "--profile",
-        help="Scale: paper, laptop, quickstart or smoke. Default: the manifest's, mostly paper.",
-        autocompletion=complete_profile,
-    ),
-]
+ExperimentsOption = Annotated[Path | None, typer.Option(
+    parser=place, metavar="DIR", envvar="RRMCTL_EXPERIMENTS",
+    help="Where manifests of your own are, beside those of rrmctl. Default: experiments.",
+)]  # fmt: skip
+ScaleOption = Annotated[str | None, typer.Option(
+    autocompletion=_profiles,
+    help="Scale: paper, laptop, quickstart or smoke. Default: the manifest's, mostly paper.",
+)]  # fmt: skip
 SeedsOption = Annotated[
-    str | None,
-    typer.Option("--seeds", metavar="N|LIST", help="10 means seeds 0 to 9; 0,3,7 means these; 4, means seed 4 alone."),
+    str | None, typer.Option(metavar="N|LIST", help="10 means seeds 0 to 9; 0,3,7 means these; 4, means seed 4 alone.")
 ]
-TasksOption = Annotated[
-    list[str] | None, typer.Option("--tasks", metavar="A,B", help="Only these tasks of the experiment.")
-]
-MethodsOption = Annotated[
-    list[str] | None, typer.Option("--methods", metavar="A,B", help="Only these methods of the experiment.")
-]
-SetOption = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--set",
-        metavar="KEY=VALUE",
-        help="Change a setting of every run, e.g. agent.batch=256. Repeatable.",
-        autocompletion=complete_setting,
-    ),
-]
-PriorOption = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--prior",
-        metavar="NAME|FILE.py:FUNCTION",
-        help="Add the residual method on this prior to the experiment. Repeatable.",
-    ),
-]
+TasksOption = Annotated[list[str] | None, typer.Option(metavar="A,B", help="Only these tasks of the experiment.")]
+MethodsOption = Annotated[list[str] | None, typer.Option(metavar="A,B", help="Only these methods of the experiment.")]
+JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON for programs instead of a table.")]
+SetOption = Annotated[list[str] | None, typer.Option(
+    "--set", metavar="KEY=VALUE", autocompletion=_settings,
+    help="Change a setting of every run, e.g. agent.batch=256. Repeatable.",
+)]  # fmt: skip
+PriorOption = Annotated[list[str] | None, typer.Option(
+    metavar="NAME|FILE.py:FUNCTION", help="Add the residual method on this prior to the experiment. Repeatable.",
+)]  # fmt: skip
 #: Silence after which a job counts as hung, minutes; a feedback session may take some.
 HANG_AFTER_MIN = 30.0
 
@@ -108,40 +72,29 @@ WorkersOption = Annotated[
     int | None,
     typer.Option("--workers", "-j", min=1, help="Jobs at a time, one core each. Default: every core there is."),
 ]
-MemoryOption = Annotated[
-    float | None,
-    typer.Option(
-        "--memory", min=0.1, metavar="GIB", help="A job that takes more is ended and goes on from its checkpoint."
-    ),
-]
-HangOption = Annotated[
-    float,
-    typer.Option(
-        "--hang-after",
-        min=0.01,
-        metavar="MINUTES",
-        help="A job that shows no progress for so long is ended and goes on from its checkpoint.",
-    ),
-]
+MemoryOption = Annotated[float | None, typer.Option(
+    min=0.1, metavar="GIB", help="A job that takes more is ended and goes on from its checkpoint.",
+)]  # fmt: skip
+HangOption = Annotated[float, typer.Option(
+    min=0.01, metavar="MINUTES",
+    help="A job that shows no progress for so long is ended and goes on from its checkpoint.",
+)]  # fmt: skip
 RetryOption = Annotated[bool, typer.Option("--retry-failed", help="Try failed runs again, from their checkpoint.")]
 UntilDecidedOption = Annotated[
     bool,
     typer.Option("--until-decided", help="Run seeds in groups until it is decided which methods differ; see above."),
 ]
 MaxSeedsOption = Annotated[
-    int | None, typer.Option("--max-seeds", min=1, metavar="N", help="With --until-decided: seeds 0 to N-1 at most.")
+    int | None, typer.Option(min=1, metavar="N", help="With --until-decided: seeds 0 to N-1 at most.")
 ]
 GroupOption = Annotated[
-    int | None, typer.Option("--group", min=2, max=8, help="With --until-decided: seeds between two looks. Default: 5.")
+    int | None, typer.Option(min=2, max=8, help="With --until-decided: seeds between two looks. Default: 5.")
 ]
 AgainstOption = Annotated[
-    str | None,
-    typer.Option("--against", metavar="METHOD", help="With --until-decided: compare with this. Default: the first."),
+    str | None, typer.Option(metavar="METHOD", help="With --until-decided: compare with this. Default: the first.")
 ]
 
 
 def split_names(values: list[str] | None) -> list[str] | None:
     """`["a,b", "c"]` as typed on the command line becomes `["a", "b", "c"]`; None stays None."""
-    if values is None:
-        return None
-    return [name.strip() for value in values for name in value.split(",") if name.strip()]
+    return values if values is None else [name.strip() for value in values for name in value.split(",") if name.strip()]

@@ -12,7 +12,7 @@ from rrmctl.cli.request import duration
 
 if TYPE_CHECKING:
     from rrmctl.store.status import Status
-    from rrmctl.store.sweeps import JobRecord, SweepRecord
+    from rrmctl.store.sweeps import Job, SweepRecord
 
 #: States in the order in which they are shown.
 STATES = ("done", "running", "interrupted", "waiting", "queued", "failed", "blocked", "unreadable")
@@ -26,7 +26,7 @@ class Group:
     """Runs that are shown on one line."""
 
     name: str  #: what they have in common
-    jobs: Sequence[JobRecord]
+    jobs: Sequence[Job]
     states: Mapping[str, Status]  #: of every job, by id
     rates: Mapping[tuple[str, str], float] | None = None  #: steps/s by task and method; default: the group's own
     heading: str = ""  #: what kind of thing `name` is
@@ -78,16 +78,16 @@ def group_by_row(sweeps: Iterable[SweepRecord], states: Mapping[str, Status]) ->
     groups = []
     for sweep in sweeps:
         rates = speeds(sweep.everything, states)
-        rows: defaultdict[tuple[str, ...], list[JobRecord]] = defaultdict(list)
+        rows: defaultdict[tuple[str, ...], list[Job]] = defaultdict(list)
         for job in sweep.everything:
             rows[sweep.variant, *job.row.words].append(job)
         groups += [Group("  ".join(names), jobs, states, rates, "row") for names, jobs in rows.items()]
     return groups
 
 
-def errors(jobs: Iterable[JobRecord], states: Mapping[str, Status]) -> dict[str, list[JobRecord]]:
+def errors(jobs: Iterable[Job], states: Mapping[str, Status]) -> dict[str, list[Job]]:
     """Failed, blocked and unreadable runs by what went wrong, the most frequent first."""
-    stopped: defaultdict[str, list[JobRecord]] = defaultdict(list)
+    stopped: defaultdict[str, list[Job]] = defaultdict(list)
     for job in jobs:
         status = states[job.id]
         if status.state in ("failed", "blocked", "unreadable"):

@@ -1,7 +1,8 @@
-"""What the options of `plan` and `run` ask for, and what it will cost, in the same words for both."""
+"""What the options of `plan` and `run` ask for, what it will cost, and what a person is told of both beforehand."""
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -9,13 +10,17 @@ from typing import TYPE_CHECKING
 
 from rrmctl.cli.options import split_names
 from rrmctl.errors import UserError
+from rrmctl.hardware import usable_cores
 
 if TYPE_CHECKING:
-    from rrmctl.planning.cost import CostEstimate
-    from rrmctl.planning.plan import Job, Plan
+    from rich.console import Console
+
+    from rrmctl.planning.plan import Plan
     from rrmctl.store.layout import Layout
     from rrmctl.store.status import Status
-    from rrmctl.store.sweeps import JobRecord
+
+#: Work above which a person at a terminal is asked first, core-hours.
+LARGE_H = 1.0
 
 
 @dataclass(frozen=True)
@@ -32,24 +37,16 @@ class Request:
     priors: list[str] | None = None
 
     def plan(self) -> Plan:
-        """The jobs.
-
-        Raises:
-            UserError: the experiment is unknown, or an option does not fit it.
-        """
+        """The jobs; a `UserError` where the experiment is unknown, or an option does not fit it."""
         from rrmctl.planning.experiments import find
         from rrmctl.planning.manifest import load
         from rrmctl.planning.plan import make_plan
 
         return make_plan(
-            load(find(self.name, self.experiments)),
-            profile=self.profile,
-            seeds=self.seeds,
-            tasks=split_names(self.tasks),
-            methods=split_names(self.methods),
-            overrides=self.overrides or [],
-            priors=self.priors or [],
-        )
+            load(find(self.name, self.experiments)), profile=self.profile, seeds=self.seeds,
+            tasks=split_names(self.tasks), methods=split_names(self.methods),
+            overrides=self.overrides or [], priors=self.priors or [],
+        )  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -58,90 +55,37 @@ class Forecast:
 
     plan: Plan
     states: Mapping[str, Status]  #: by job id
-    cost: CostEstimate
+    seconds: Mapping[str, float]  #: from nothing to the end, by job id
+    measured: int  #: jobs whose cost comes from stored runs
 
     def count(self, state: str) -> int:
         """Jobs in this state."""
         return sum(status.state == state for status in self.states.values())
 
-    def left(self, job: str) -> float:
-        """Share of a job that is still to be run."""
-        status = self.states[job]
-        if status.state == "done":
-            return 0.0
-        return 1.0 - status.step / status.steps if status.steps else 1.0
+    @property
+    def shares(self) -> dict[str, float]:
+        """Share of each job that is still to be run."""
+        return {
+            job: 0.0 if status.state == "done" else 1.0 - status.step / status.steps if status.steps else 1.0
+            for job, status in self.states.items()
+        }
 
     @property
     def hours_left(self) -> float:
         """Core-hours still to be paid."""
-        return self.cost.core_hours({job: self.left(job) for job in self.states})
+        return sum(self.seconds[job] * share for job, share in self.shares.items()) / 3600
 
 
 def forecast(plan: Plan, layout: Layout) -> Forecast:
-    """What the plan will cost, given what the store already has and how fast it came about.
-
-    Raises:
-        UserError: a sweep record is damaged.
-    """
-    from rrmctl.planning.cost import estimate_cost
-    from rrmctl.store.reader import statuses
+    """What the plan will cost, given what the store already has and how fast it came about."""
+    from rrmctl.planning.cost import estimate_seconds
     from rrmctl.store.speeds import stored_speeds
+    from rrmctl.store.status import statuses
 
     states = statuses(layout, plan.everything)
-    return Forecast(plan, states, estimate_cost(plan, stored_speeds(layout, states)))
-
-
-def job_record(job: Job) -> JobRecord:
-    """A job as the store records it."""
-    from rrmctl.store.sweeps import JobRecord
-
-    return JobRecord(
-        id=job.id, cell=job.config.cell, **job.row._asdict(), seed=job.seed, steps=job.config.steps,
-        requires=job.requires,
-    )  # fmt: skip
-
-
-def in_words(forecast: Forecast, cores: int) -> str:
-    """One line: core-hours left, hours on this machine, and where the numbers come from."""
-    if forecast.count("done") == len(forecast.states):
-        return "Everything is done; running it again does nothing."
-    hours = forecast.hours_left
-    # No number of cores makes a sweep shorter than its longest job.
-    longest = max(forecast.cost.seconds[job] * forecast.left(job) for job in forecast.states) / 3600
-    wall = max(hours / cores, longest)
-    return (
-        f"About {duration(hours)} of one core are left, {duration(wall)} on {cores} "
-        f"core{'s' if cores > 1 else ''} ({forecast.cost.source})."
-    )
-
-
-def smaller(request: Request, plan: Plan) -> list[str]:
-    """How to pay less: what the same request would cost in cheaper profiles, and how to ask for a part of it."""
-    from rrmctl.planning.cost import estimate_cost, measure_gemm
-    from rrmctl.planning.profiles import profiles
-
-    gemm = measure_gemm()
-    bound = estimate_cost(plan, {}, gemm).core_hours()
-    seeds = {job.seed for job in plan.jobs}  # they cost the same, so one of them is planned
-    lines = []
-    for name, scale in profiles().items():
-        if name == plan.profile:
-            continue
-        try:
-            other = replace(request, profile=name, seeds=f"{min(seeds)},").plan()
-        except UserError:  # a profile that cannot hold the request is no advice
-            continue
-        hours = estimate_cost(other, {}, gemm).core_hours(
-            {job.id: len(seeds) for job in other.jobs}
-        )  # shared needs once
-        if hours < bound / 2:  # a profile that saves little is no advice
-            lines.append(f"--profile {name}: about {duration(hours)} of one core; {scale.about}")
-            bound = hours
-    if len(plan.jobs) > 1:
-        lines.append(
-            "a part of it: fewer --seeds, some --tasks or --methods; the rest can be added later, nothing runs twice"
-        )
-    return lines
+    speeds = stored_speeds(layout, states)
+    measured = sum((job.task, job.method, plan.variant) in speeds for job in plan.everything)
+    return Forecast(plan, states, estimate_seconds(plan, speeds), measured)
 
 
 def duration(hours: float) -> str:
@@ -154,3 +98,78 @@ def duration(hours: float) -> str:
     if hours < 10:
         return f"{hours:.1f} h"
     return f"{hours:.0f} h" if hours < 200 else f"{hours / 24:.0f} days"
+
+
+def introduce(console: Console, request: Request, expected: Forecast, slots: int) -> None:
+    """Say what a command is about to run, what it costs, and what would cost less."""
+    plan, count = expected.plan, len(expected.plan.jobs)
+    counts = {"done already": expected.count("done"), "failed": expected.count("failed")}
+    there = "".join(f", {number} {state}" for state, number in counts.items() if number)
+    more = f" and {len(plan.needed)} that they need" if plan.needed else ""
+    said = f"{plan.experiment} ({plan.variant}): {count} run{'s' if count != 1 else ''}{more}{there}."
+    console.print(said, style="bold", soft_wrap=True)
+    console.print(in_words(expected, slots), soft_wrap=True)
+    advise(console, request, expected, LARGE_H)
+
+
+def in_words(expected: Forecast, cores: int) -> str:
+    """One line: core-hours left, hours on this machine, and where the numbers come from."""
+    if expected.count("done") == len(expected.states):
+        return "Everything is done; running it again does nothing."
+    hours, jobs, source = expected.hours_left, len(expected.states), "from the speed of stored runs"
+    if expected.measured < jobs:
+        table = "an estimate from the measured speed of one core and a table of costs"
+        source = f"{expected.measured} of {jobs} jobs {source}, the rest {table}" if expected.measured else table
+    # No number of cores makes a sweep shorter than its longest job.
+    longest = max(expected.seconds[job] * share for job, share in expected.shares.items()) / 3600
+    return (
+        f"About {duration(hours)} of one core are left, {duration(max(hours / cores, longest))} on {cores} "
+        f"core{'s' if cores > 1 else ''} ({source})."
+    )
+
+
+def advise(console: Console, request: Request, expected: Forecast, least_hours: float) -> None:
+    """Note what the plan will hardly be meant to do; where more core-hours are left, say how to pay less."""
+    # Budgets that a run is too short to spend, those that fall short alike in one line.
+    short: defaultdict[str, dict[str, None]] = defaultdict(dict)
+    for job in {job.row: job for job in expected.plan.jobs}.values():  # every seed asks the same
+        config = expected.plan.configs[job.id]
+        if config.kind == "train" and config.feedback and (queries := config.queries()) < config.feedback.budget:
+            fit = f"{queries:,} of {config.feedback.budget:,} questions fit into {config.steps:,} steps"
+            short[fit][f"{job.task} {job.method}"] = None
+    notes = [f"{fit}: {', '.join(names)}" for fit, names in short.items()]
+    threads, cores = max(expected.plan.configs[job.id].threads for job in expected.plan.jobs), usable_cores()
+    if threads > cores:
+        notes.append(f"threads: {threads} for each run, on {cores} core{'s' if cores > 1 else ''}")
+    for note in notes:
+        console.print(f"  note: {note}", soft_wrap=True)
+    if expected.hours_left > least_hours:
+        for line in smaller(request, expected.plan):
+            console.print(f"  smaller: {line}", soft_wrap=True)
+
+
+def smaller(request: Request, plan: Plan) -> list[str]:
+    """How to pay less: what the same request would cost in cheaper profiles, and how to ask for a part of it."""
+    from rrmctl.planning.cost import estimate_seconds
+    from rrmctl.planning.profiles import profiles
+
+    bound = sum(estimate_seconds(plan, {}).values())
+    seeds = {job.seed for job in plan.jobs}  # they cost the same, so one of them is planned
+    lines = []
+    for name, scale in profiles().items():
+        if name == plan.profile:
+            continue
+        try:
+            other = replace(request, profile=name, seeds=f"{min(seeds)},").plan()
+        except UserError:  # a profile that cannot hold the request is no advice
+            continue
+        once = estimate_seconds(other, {})  # what all seeds need is run once
+        seconds = sum(once.values()) + (len(seeds) - 1) * sum(once[job.id] for job in other.jobs)
+        if seconds < bound / 2:  # a profile that saves little is no advice
+            lines.append(f"--profile {name}: about {duration(seconds / 3600)} of one core; {scale.about}")
+            bound = seconds
+    if len(plan.jobs) > 1:
+        lines.append(
+            "a part of it: fewer --seeds, some --tasks or --methods; the rest can be added later, nothing runs twice"
+        )
+    return lines

@@ -4,79 +4,58 @@ from __future__ import annotations
 
 import contextlib
 import sys
-from collections.abc import Iterable, Sequence
-from functools import partial
+from collections.abc import Iterable, Mapping
+from dataclasses import fields, replace
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from rrmctl.cli.introduction import LARGE_H, from_nothing, introduce
-from rrmctl.cli.options import (
-    DEFAULT_RESULTS,
-    HANG_AFTER_MIN,
-    AgainstOption,
-    ExperimentArgument,
-    ExperimentsOption,
-    GroupOption,
-    HangOption,
-    MaxSeedsOption,
-    MemoryOption,
-    MethodsOption,
-    PriorOption,
-    ProfileOption,
-    ResultsOption,
-    RetryOption,
-    SeedsOption,
-    SetOption,
-    TasksOption,
-    UntilDecidedOption,
-    WorkersOption,
-)
+from rrmctl.cli import options
 from rrmctl.cli.progress import runs
-from rrmctl.cli.request import Request, forecast, job_record
-from rrmctl.cli.rerun import remaking_commands, unconfigured
+from rrmctl.cli.request import LARGE_H, Request, forecast, introduce
 from rrmctl.cli.screen import drain, unfailing
 from rrmctl.cli.status import note_damage
 from rrmctl.cli.stop_signals import resumable
-from rrmctl.cli.summary import finish
+from rrmctl.cli.summary import finish, remaking_commands, unconfigured
 from rrmctl.cli.trust import remember, require_trust
 from rrmctl.commands import rrmctl
 from rrmctl.errors import Exit, UserError
+from rrmctl.hardware import usable_cores
 from rrmctl.terminal import console
 
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from rrmctl.planning.plan import Job, Plan
-    from rrmctl.running.supervisor import Assignment
+    from rrmctl.planning.plan import Plan
+    from rrmctl.running.supervisor import Terms
     from rrmctl.store.layout import Layout
     from rrmctl.store.status import Status
-    from rrmctl.store.sweeps import JobRecord, SweepRecord
+    from rrmctl.store.sweeps import Job, SweepRecord
 
 
-@resumable
+@resumable()
 def run(
-    name: ExperimentArgument,
-    seeds: SeedsOption = None,
-    tasks: TasksOption = None,
-    methods: MethodsOption = None,
-    profile: ProfileOption = None,
-    overrides: SetOption = None,
-    prior: PriorOption = None,
-    workers: WorkersOption = None,
-    memory: MemoryOption = None,
-    hang_after: HangOption = HANG_AFTER_MIN,
-    results: ResultsOption = DEFAULT_RESULTS,
-    experiments: ExperimentsOption = None,
-    retry_failed: RetryOption = False,
+    name: options.ExperimentArgument,
+    seeds: options.SeedsOption = None,
+    tasks: options.TasksOption = None,
+    methods: options.MethodsOption = None,
+    profile: options.ScaleOption = None,
+    overrides: options.SetOption = None,
+    prior: options.PriorOption = None,
+    workers: options.WorkersOption = None,
+    memory: options.MemoryOption = None,
+    hang_after: options.HangOption = options.HANG_AFTER_MIN,
+    results: options.ResultsOption = options.DEFAULT_RESULTS,
+    experiments: options.ExperimentsOption = None,
+    retry_failed: options.RetryOption = False,
     force: Annotated[
         bool, typer.Option("--force", help="Train the named runs again from nothing; what they hold is removed.")
     ] = False,
     yes: Annotated[bool, typer.Option("--yes", "-y", help="Do not ask before a large sweep.")] = False,
-    until: UntilDecidedOption = False,
-    max_seeds: MaxSeedsOption = None,
-    group: GroupOption = None,
-    against: AgainstOption = None,
+    until: options.UntilDecidedOption = False,
+    max_seeds: options.MaxSeedsOption = None,
+    group: options.GroupOption = None,
+    against: options.AgainstOption = None,
 ) -> None:
     """Run an experiment, or go on with it: runs that are done are skipped, interrupted ones continue.
 
@@ -100,7 +79,9 @@ def run(
       rrmctl run toy-car --until-decided --max-seeds 20 --against pebble
     """
     from rrmctl.cli.until_decided import asked_rules, until_decided
-    from rrmctl.store.reader import new_results, statuses
+    from rrmctl.running.supervisor import Terms
+    from rrmctl.store.layout import new_results
+    from rrmctl.store.status import Status, statuses
     from rrmctl.store.sweeps import readable_sweeps
 
     screen = console(unfailing(sys.stderr))
@@ -110,27 +91,29 @@ def run(
     layout = new_results(results)
     plan = request.plan()
     note_damage(readable_sweeps(layout)[1])
-    slots = workers or _default_slots(job.config.threads for job in plan.everything)
+    slots = workers or _slots(config.threads for config in plan.configs.values())
     expected = forecast(plan, layout)
-    introduce(screen, request, from_nothing(expected) if force else expected, slots)
+    anew = {job.id for job in plan.jobs} if force else set()
+    before = replace(expected, states=dict.fromkeys(expected.states, Status())) if force else expected
+    introduce(screen, request, before, slots)
     if rules:
         screen.print(f"  note: at most; what is decided after a group of {rules.group} seeds runs no more of them")
-    anew = {job.id for job in plan.jobs} if force else set()
 
     def wanted(job: Job, status: Status) -> bool:
         return job.id in anew or _is_open(status, retry_failed=retry_failed)
 
     def execute(part: Plan) -> tuple[Exit, SweepRecord]:
         sweep, states = _record(screen, layout, part), statuses(layout, part.everything)
-        assigned = [
-            _assignment(job_record(job), states[job.id], job.config.threads, fresh=job.id in anew)
+        assigned = {
+            job: Terms(threads=part.configs[job.id].threads, attempt=states[job.id].attempt, fresh=job.id in anew)
             for job in part.everything
             if wanted(job, states[job.id])
-        ]
-        return _run(screen, layout, assigned, slots, memory, hang_after), sweep
+        }
+        return _train(screen, layout, assigned, slots, memory, hang_after), sweep
 
     drain(screen.file)
-    large = expected.hours_left > LARGE_H and any(wanted(job, expected.states[job.id]) for job in plan.everything)
+    large = expected.hours_left > LARGE_H
+    large = large and any(wanted(job, expected.states[job.id]) for job in plan.everything)
     if large and not yes and _asks() and not typer.confirm("Start?", err=True):
         raise typer.Exit(Exit.INCOMPLETE)
     code, sweep = until_decided(layout, plan, rules, execute) if rules else execute(plan)
@@ -138,16 +121,16 @@ def run(
     finish(layout, code, [sweep], closing=plan.manifest.closing)
 
 
-@resumable
+@resumable()
 def resume(
     name: Annotated[
         str | None, typer.Argument(metavar="[NAME]", help="Only this experiment. Default: all in the results folder.")
     ] = None,
-    workers: WorkersOption = None,
-    memory: MemoryOption = None,
-    hang_after: HangOption = HANG_AFTER_MIN,
-    results: ResultsOption = DEFAULT_RESULTS,
-    retry_failed: RetryOption = False,
+    workers: options.WorkersOption = None,
+    memory: options.MemoryOption = None,
+    hang_after: options.HangOption = options.HANG_AFTER_MIN,
+    results: options.ResultsOption = options.DEFAULT_RESULTS,
+    retry_failed: options.RetryOption = False,
     trust: Annotated[
         bool, typer.Option("--trust", help="Run also code that the folder names and that you have not run from here.")
     ] = False,
@@ -156,8 +139,12 @@ def resume(
 
     The configurations recorded then are run, whatever the manifests say today.
     """
-    from rrmctl.store.reader import find_sweeps, open_results, statuses
-    from rrmctl.store.sweeps import readable_sweeps
+    from rrmctl.running.config_file import code_files
+    from rrmctl.running.supervisor import Terms
+    from rrmctl.store.layout import open_results
+    from rrmctl.store.provenance import read_config
+    from rrmctl.store.status import statuses
+    from rrmctl.store.sweeps import find_sweeps, readable_sweeps
 
     screen = console(unfailing(sys.stderr))
     layout = open_results(results)
@@ -168,28 +155,34 @@ def resume(
         raise UserError(f"{results} holds no sweep", f"begin one, such as `{begin}`; `rrmctl list` shows the names")
     jobs = {job.id: job for sweep in sweeps for job in sweep.everything}
     states = statuses(layout, jobs.values())
-    chosen = [job for job in jobs.values() if _is_open(states[job.id], retry_failed=retry_failed)]
+    left = {run: job for run, job in jobs.items() if _is_open(states[run], retry_failed=retry_failed)}
     for sweep in sweeps:
-        count = sum(_is_open(states[job.id], retry_failed=retry_failed) for job in sweep.everything)
-        total = runs(len(sweep.everything))
+        count, total = sum(job.id in left for job in sweep.everything), runs(len(sweep.everything))
         screen.print(f"{sweep.experiment} ({sweep.variant}): {count} of {total} to go", soft_wrap=True)
-    gone = unconfigured(layout, chosen)
+    gone = unconfigured(layout, left.values())
     for command in remaking_commands(layout, sweeps, gone, states):
         screen.print(f"configurations are missing; this makes them, and the runs: {command}", soft_wrap=True)
-    assigned = [
-        _assignment(job, states[job.id], _threads(layout, job), fresh=False) for job in chosen if job.id not in gone
-    ]
-    require_trust(results, _code(layout, chosen), trust=trust, asks=_asks())
-    slots = workers or _default_slots(job.threads for job in assigned)
-    code = _run(screen, layout, assigned, slots, memory, hang_after)
+    threads: dict[str, int] = {}
+    code_of_users: dict[str, str] = {}  # digests by path
+    for run in left:
+        with contextlib.suppress(UserError):  # the run's own worker refuses it with this message; the others go on
+            config = read_config(layout.run(run))
+            code_of_users |= code_files(config)
+            threads[run] = int(config["threads"])
+    assigned = {
+        job: Terms(threads=threads.get(run, 1), attempt=states[run].attempt)
+        for run, job in left.items()
+        if run not in gone
+    }
+    require_trust(results, code_of_users, trust=trust, asks=_asks())
+    slots = workers or _slots(terms.threads for terms in assigned.values())
+    code = _train(screen, layout, assigned, slots, memory, hang_after)
     drain(screen.file)
     finish(layout, code, sweeps, damaged=bool(damage or gone))
 
 
-def _default_slots(threads: Iterable[int]) -> int:
+def _slots(threads: Iterable[int]) -> int:
     """As many jobs at a time as the cores allow when each keeps its threads busy."""
-    from rrmctl.hardware import usable_cores
-
     return max(1, usable_cores() // max(threads, default=1))
 
 
@@ -198,72 +191,40 @@ def _is_open(status: Status, *, retry_failed: bool) -> bool:
     return status.state != "done" and (status.state not in ("failed", "blocked") or retry_failed)
 
 
+def _asks() -> bool:
+    """Whether there is a person to ask."""
+    return sys.stdin.isatty() and sys.stderr.isatty()
+
+
 def _record(console: Console, layout: Layout, plan: Plan) -> SweepRecord:
     """Write down what was asked for, and return it: first every run's configuration, then the sweep that names them."""
+    from rrmctl.running.config_file import code_files, config_content
+    from rrmctl.store.provenance import record_config
     from rrmctl.store.sweeps import SweepRecord, read_sweep, record_sweep, set_damaged_aside
 
     path = layout.sweep(plan.experiment, plan.variant)
-    damage = set_damaged_aside(layout, path)  # one of another version is refused before anything is written
-    known = read_sweep(path)
-    asked = SweepRecord(
-        experiment=plan.experiment, variant=plan.variant, profile=plan.profile, overrides=plan.overrides,
-        jobs=tuple(map(job_record, plan.jobs)), needed=tuple(map(job_record, plan.needed)), priors=plan.priors,
-    )  # fmt: skip
-    notes = [damage, *_configure(layout, plan.everything)]
-    late = set(record_sweep(layout, asked).superseded) - set(known.superseded if known else ())
+    notes = [set_damaged_aside(layout, path)]  # one of another version is refused before anything is written
+    before = read_sweep(path)
+    asked = SweepRecord(**{field.name: getattr(plan, field.name) for field in fields(SweepRecord)})
+    contents = {job.id: config_content(plan.configs[job.id]) for job in plan.everything}
+    remember(digest for content in contents.values() for digest in code_files(content).values())
+    notes += [record_config(layout.run(run), content) for run, content in contents.items()]
+    late = set(record_sweep(layout, asked).superseded) - set(before.superseded if before else ())
     if late:
-        told = f"{runs(len(late))} of other settings, files or versions gave way to what is asked for now"
-        notes.append(f"{told}; `rrmctl clean` lists what nothing asks for any more")
+        count = f"{runs(len(late))} of other settings, files or versions gave way to what is asked for now"
+        notes.append(f"{count}; `rrmctl clean` lists what nothing asks for any more")
     # Until the record named them, a `clean` may have removed some.
-    notes += _configure(layout, (job for job in plan.everything if not layout.run(job.id).config.exists()))
+    lost = [run for run in contents if not layout.run(run).config.exists()]
+    notes += [record_config(layout.run(run), contents[run]) for run in lost]
     for note in filter(None, notes):
         console.print(f"note: {note}", soft_wrap=True)
     return asked
 
 
-def _configure(layout: Layout, jobs: Iterable[Job]) -> list[str | None]:
-    from rrmctl.running.config_file import code_files, config_content
-    from rrmctl.store.status import record_config
-
-    contents = {job.id: config_content(job.config) for job in jobs}
-    remember(digest for content in contents.values() for digest in code_files(content).values())
-    return [record_config(layout.run(run), content) for run, content in contents.items()]
-
-
-def _assignment(job: JobRecord, status: Status, threads: int, *, fresh: bool) -> Assignment:
-    from rrmctl.running.supervisor import Assignment
-
-    return Assignment(
-        id=job.id, label=job.label, steps=job.steps, threads=threads, attempt=status.attempt, fresh=fresh,
-        requires=job.requires,
-    )  # fmt: skip
-
-
-def _code(layout: Layout, jobs: Iterable[JobRecord]) -> dict[str, str]:
-    """Digests of the code of users that these runs name, by path."""
-    from rrmctl.running.config_file import code_files
-    from rrmctl.store.reader import read_config
-
-    found: dict[str, str] = {}
-    for job in jobs:
-        with contextlib.suppress(UserError):  # its worker refuses it
-            found |= code_files(read_config(layout.run(job.id)))
-    return found
-
-
-def _threads(layout: Layout, job: JobRecord) -> int:
-    from rrmctl.store.reader import read_config
-
-    try:
-        return int(read_config(layout.run(job.id))["threads"])
-    except UserError:  # the run's own worker refuses it with this message, and the other runs go on
-        return 1
-
-
-def _run(
+def _train(
     console: Console,
     layout: Layout,
-    assigned: Sequence[Assignment],
+    assigned: Mapping[Job, Terms],
     slots: int,
     memory_gib: float | None,
     hang_after_min: float,
@@ -280,16 +241,10 @@ def _run(
         memory_limit=None if memory_gib is None else int(memory_gib * 2**30),
         hang_after_s=hang_after_min * 60.0,
     )
-    pool = partial(
-        Supervisor, layout=layout, assignments=assigned, slots=slots, executor=executor, asked=["rrmctl", *sys.argv[1:]]
-    )  # fmt: skip
-    if not sys.stderr.isatty() or console.is_dumb_terminal:
-        return pool(watcher=Lines(console, layout, assigned)).run()
-    bars = Bars(console, layout, assigned)
-    with bars.progress:
-        return pool(watcher=bars).run()
-
-
-def _asks() -> bool:
-    """Whether there is a person to ask."""
-    return sys.stdin.isatty() and sys.stderr.isatty()
+    watched = sys.stderr.isatty() and not console.is_dumb_terminal
+    watcher = (Bars if watched else Lines)(console, layout, list(assigned))
+    with watcher.progress if isinstance(watcher, Bars) else contextlib.nullcontext():
+        return Supervisor(
+            layout=layout, jobs=list(assigned), terms={job.id: terms for job, terms in assigned.items()}, slots=slots,
+            watcher=watcher, executor=executor, asked=["rrmctl", *sys.argv[1:]],
+        ).run()  # fmt: skip

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from rrmctl.cli.options import DEFAULT_RESULTS, ResultsOption
-from rrmctl.cli.rerun import rerun_command
 from rrmctl.cli.status import note_damage
+from rrmctl.cli.summary import rerun_command
 from rrmctl.errors import UserError
 from rrmctl.store.schema import IDENTITY, MEASURED
 from rrmctl.terminal import stdout_console
@@ -30,7 +30,7 @@ def show(
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON for programs.")] = False,
 ) -> None:
     """Show one run: what it is, where it stands, what it ran with, its last evaluations and the end of its log."""
-    from rrmctl.store.reader import find_run, open_results
+    from rrmctl.store.layout import find_run, open_results
 
     layout = open_results(results)
     known = _known(layout, find_run(layout, run), lines)
@@ -48,8 +48,9 @@ def show(
 
 def _known(layout: Layout, folder: RunFolder, lines: int) -> dict[str, Any]:
     """What there is to know, as JSON has it; what could not be read is null, and why stands in `damage`."""
-    from rrmctl.store.provenance import read_provenance
-    from rrmctl.store.reader import log_tail, read_config, read_curve, run_status
+    from rrmctl.store.curve import read_curve
+    from rrmctl.store.provenance import read_config, read_provenance
+    from rrmctl.store.status import log_tail, run_status
     from rrmctl.store.sweeps import readable_sweeps
 
     damage: dict[str, str] = {}
@@ -98,7 +99,7 @@ def _sections(known: Mapping[str, Any]) -> dict[str, str]:
     state += f" of {now['steps']:,}" if now["steps"] else ""
     return {
         f"run {known['run']}": "\n".join([known["path"], *uses]),
-        "state": f"{state}\n{RunError.from_json(now['error']) if now['error'] else ''}".strip(),
+        "state": f"{state}\n{RunError(**now['error']) if now['error'] else ''}".strip(),
         "configuration": damage.get("config") or json.dumps(known["config"], indent=1),
         "provenance": damage.get("provenance") or (json.dumps(made_by, indent=1) if made_by else ""),
         "last evaluations": damage.get("evaluations") or "\n".join(map(_row, known["evaluations"])),

@@ -1,44 +1,40 @@
-"""`rrmctl status`: where runs stand."""
+"""`rrmctl status`, where runs stand, and `rrmctl clean`, which removes those that nothing asks for any more."""
 
 from __future__ import annotations
 
+import contextlib
 import json
 import socket
 import sys
 import time
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from rrmctl.cli.options import DEFAULT_RESULTS, ResultsOption
 from rrmctl.cli.progress import OVER, STATES, Group, errors, group_by_row, group_by_sweep, runs
-from rrmctl.cli.rerun import remaking_commands, unconfigured
 from rrmctl.cli.screen import tell
+from rrmctl.cli.summary import remaking_commands, unconfigured
 from rrmctl.commands import rrmctl
 from rrmctl.errors import UserError
+from rrmctl.labels import Label
 from rrmctl.terminal import stdout_console
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
 
-    from rrmctl.store.layout import Layout
-    from rrmctl.store.status import Status
-    from rrmctl.store.sweeps import SweepRecord
+    from rrmctl.store.snapshot import Snapshot
 
 #: Time between two looks of `status --watch`, seconds.
 _WATCH_S = 2.0
 
 _COLOURS = {
-    "done": "green",
-    "running": "cyan",
-    "interrupted": "yellow",
-    "waiting": "yellow",
-    "failed": "red",
-    "blocked": "red",
+    "done": "green", "running": "cyan", "interrupted": "yellow", "waiting": "yellow", "failed": "red", "blocked": "red",
     "unreadable": "bold red",
-}
+}  # fmt: skip
 
 
 def status(
@@ -54,79 +50,44 @@ def status(
 
     A run is "interrupted" when its process stopped or died before its end; `rrmctl resume` goes on with it.
     """
-    from rrmctl.store.reader import find_sweeps, open_results, statuses
-    from rrmctl.store.sweeps import readable_sweeps
-
-    layout = open_results(results)
-    if name is None:
-        note_damage(readable_sweeps(layout)[1])
+    from rrmctl.store.snapshot import Snapshot
 
     def look() -> _View:
-        sweeps = readable_sweeps(layout)[0] if name is None else find_sweeps(layout, name)
-        states = statuses(layout, (job for sweep in sweeps for job in sweep.everything))
-        return _View(layout, sweeps, states, detailed=name is not None, failed=failed)
+        store = Snapshot(results, name, lenient=True)
+        groups = (group_by_sweep if name is None else group_by_row)(store.sweeps, store.states)
+        jobs = {job.id: job for sweep in store.sweeps for job in sweep.everything}
+        return _View(store, groups, Group("all", list(jobs.values()), store.states))
 
     view = look()
+    note_damage(view.store.damage)
     if not watch:
-        typer.echo(json.dumps(view.as_json())) if as_json else stdout_console().print(view.table())
+        typer.echo(json.dumps(view.as_json())) if as_json else stdout_console().print(view.shown(failed=failed))
         return
-    try:
-        _watch(view, look, as_json=as_json)
-    except KeyboardInterrupt:  # how one leaves it
-        return
-
-
-def _watch(view: _View, look: Any, *, as_json: bool) -> None:
     from rich.live import Live
 
-    console = stdout_console()
-    if as_json or not sys.stdout.isatty():
-        said = None
+    said = None
+    at_terminal = sys.stdout.isatty() and not as_json
+    live = Live(console=stdout_console(), auto_refresh=False) if at_terminal else contextlib.nullcontext()
+    with contextlib.suppress(KeyboardInterrupt), live as display:  # how one leaves it
         while True:
-            told = json.dumps(view.as_json()) if as_json else view.line()
-            if told != said:
-                tell(told)
-                said = told
-            if not view.has_work:
+            if display is not None:
+                display.update(view.shown(failed=failed), refresh=True)
+            elif (line := json.dumps(view.as_json()) if as_json else view.line()) != said:
+                tell(line)
+                said = line
+            if not view.total.open:
                 return
             time.sleep(_WATCH_S)
             view = look()
-    with Live(view.table(), console=console, auto_refresh=False) as live:
-        while view.has_work:
-            time.sleep(_WATCH_S)
-            view = look()
-            live.update(view.table(), refresh=True)
 
 
+@dataclass(frozen=True)
 class _View:
-    """One look at the store, ready to be shown.
+    """One look at the store, ready to be shown."""
 
-    Args:
-        detailed: one line per row of the grid instead of one per sweep, and the runs under way.
-        failed: the failures instead.
-    """
-
-    def __init__(
-        self,
-        layout: Layout,
-        sweeps: Sequence[SweepRecord],
-        states: Mapping[str, Status],
-        *,
-        detailed: bool,
-        failed: bool,
-    ) -> None:
-        self._layout = layout
-        self._sweeps = sweeps
-        self._states = states
-        self._failed = failed
-        self.groups = group_by_row(sweeps, states) if detailed else group_by_sweep(sweeps, states)
-        jobs = {job.id: job for sweep in sweeps for job in sweep.everything}
-        self.total = Group("all", list(jobs.values()), states)
-
-    @property
-    def has_work(self) -> bool:
-        """Whether any run is neither done nor failed."""
-        return self.total.open > 0
+    store: Snapshot
+    groups: Sequence[Group]  #: the lines of the table
+    total: Group
 
     def line(self) -> str:
         """The totals in words."""
@@ -134,16 +95,16 @@ class _View:
         left = f", about {self.total.left} left" if self.total.left else ""
         return f"{counts} of {runs(len(self.total.jobs))}{left}"
 
-    def table(self) -> RenderableType:
-        """For people."""
+    def shown(self, *, failed: bool) -> RenderableType:
+        """For people: the table, or the runs that failed."""
+        if not self.store.sweeps:
+            return f"{self.store.layout.root} holds no sweep yet. Begin one: {self._command('run', 'quickstart')}"
+        return self._failures() if failed else self._table()
+
+    def _table(self) -> RenderableType:
         from rich.console import Group as Stack
         from rich.table import Table
 
-        if not self._sweeps:
-            begin = self._command("run", "quickstart")
-            return f"{self._layout.root} holds no sweep yet. Begin one: {begin}"
-        if self._failed:
-            return self._failures()
         table = Table(box=None, pad_edge=False)
         shown = [state for state in STATES if self.total.counts[state] or state == "done"]
         table.add_column(self.groups[0].heading)
@@ -154,50 +115,46 @@ class _View:
             table.add_row(group.name, *counts, str(len(group.jobs)), group.left)
         return Stack(table, "", self.line(), *self._hints())
 
-    def _hints(self) -> list[str]:
-        hints = []
+    def _hints(self) -> Iterator[str]:
         if self.total.counts["failed"] or self.total.counts["unreadable"]:
-            hints.append(f"Why runs failed: {self._command('status', '--failed')}")
-        waited = Counter(str(status.error) for status in self._states.values() if status.state == "waiting")
-        hints += [f"{runs(count)} waiting for {what}" for what, count in waited.items()]
-        hosts = {status.host for status in self._states.values() if status.state == "running" and status.host}
+            yield f"Why runs failed: {self._command('status', '--failed')}"
+        waited = Counter(str(status.error) for status in self.store.states.values() if status.state == "waiting")
+        for what, count in waited.items():
+            yield f"{runs(count)} waiting for {what}"
+        hosts = {status.host for status in self.store.states.values() if status.state == "running" and status.host}
         if elsewhere := sorted(hosts - {socket.gethostname()}):
             after = f"should one be gone, this takes its runs over after 30 s of silence: {self._command('resume')}"
-            hints.append(f"Running on {', '.join(elsewhere)}; {after}")
-        jobs = [job for job in self.total.jobs if self._states[job.id].state not in OVER]
-        gone = unconfigured(self._layout, jobs)
+            yield f"Running on {', '.join(elsewhere)}; {after}"
+        jobs = [job for job in self.total.jobs if self.store.states[job.id].state not in OVER]
+        gone = unconfigured(self.store.layout, jobs)
         if not self.total.counts["running"] and len(jobs) > len(gone):
-            hints.append(f"Nothing is running; this goes on: {self._command('resume')}")
-        for command in remaking_commands(self._layout, self._sweeps, gone, self._states):
-            hints.append(f"Configurations are missing; this makes them, and the runs: {command}")
-        return hints
+            yield f"Nothing is running; this goes on: {self._command('resume')}"
+        for command in remaking_commands(self.store.layout, self.store.sweeps, gone, self.store.states):
+            yield f"Configurations are missing; this makes them, and the runs: {command}"
 
     def _command(self, *words: str) -> str:
-        return rrmctl(*words, results=self._layout.root)
+        return rrmctl(*words, results=self.store.layout.root)
 
     def _failures(self) -> RenderableType:
         from rich.text import Text
 
-        lines = Text()
-        found = errors(self.total.jobs, self._states)
-        if not found:
+        if not (failed := errors(self.total.jobs, self.store.states)):
             return Text("No run failed.")
-        for message, jobs in found.items():
+        lines = Text()
+        for message, jobs in failed.items():
             lines.append(f"{runs(len(jobs))}: {message}\n", style="red")
             for job in jobs:
-                lines.append(f"  {job.id}  {job.label}, attempt {self._states[job.id].attempt}\n")
-        last = self._layout.run(jobs[-1].id)
-        lines.append(f"The end of a log: {self._command('show', last.id)}; all of it: {last.log}")
-        return lines
+                lines.append(f"  {job.id}  {job.label}, attempt {self.store.states[job.id].attempt}\n")
+        last = self.store.layout.run(jobs[-1].id)
+        return lines.append(f"The end of a log: {self._command('show', last.id)}; all of it: {last.log}")
 
     def as_json(self) -> dict[str, Any]:
         """For programs."""
+        failed = errors(self.total.jobs, self.store.states)
         return {
             "runs": len(self.total.jobs), **{state: self.total.counts[state] for state in STATES},
             "core_seconds_left": self.total.seconds_left, "groups": [group.as_json() for group in self.groups],
-            "errors": {
-                message: [job.id for job in jobs] for message, jobs in errors(self.total.jobs, self._states).items()
-            },
+            "errors": {message: [job.id for job in jobs] for message, jobs in failed.items()},
         }  # fmt: skip
 
 
@@ -205,3 +162,40 @@ def note_damage(damage: Iterable[UserError]) -> None:
     """One line on standard error for each file that a command can go on without."""
     for error in damage:
         tell(f"note: {error}; {error.hint}", err=True)
+
+
+def clean(
+    results: ResultsOption = DEFAULT_RESULTS,
+    yes: Annotated[bool, typer.Option("--yes", "-y", help="Remove them. Without it they are listed.")] = False,
+) -> None:
+    """Remove runs that no sweep asks for any more; without --yes only list them.
+
+    A run is left over when settings, a file of yours or the program changed and the experiment was run again, or when
+    its sweep's record was removed. Runs under way stay.
+    """
+    from rrmctl.store.layout import open_results
+    from rrmctl.store.provenance import read_config
+    from rrmctl.store.status import run_status
+    from rrmctl.store.sweeps import remove_unused, unused_runs
+
+    layout = open_results(results)
+    sizes = {}
+    for run in unused_runs(layout):
+        folder = layout.run(run)
+        try:
+            config = read_config(folder)
+            label = Label(config["task"], config["method"]).seeded(config["seed"])
+            about = f"{config['profile']} {label}: {run_status(folder).state}"
+        except UserError as error:
+            about = str(error)
+        files = (path for path in folder.path.rglob("*") if path.is_file())
+        sizes[run] = sum(path.lstat().st_size for path in files) / 1e6
+        typer.echo(f"{run}  {sizes[run]:8.1f} MB  {about}")
+    if not yes:
+        waiting = f"{runs(len(sizes))}, {sum(sizes.values()):.1f} MB. Nothing was removed; --yes removes them."
+        typer.echo(waiting if sizes else "Every run is asked for by a sweep.")
+        return
+    gone = remove_unused(layout, sizes)
+    for run in set(sizes) - set(gone):
+        typer.echo(f"{run} is in use and stays")
+    typer.echo(f"{runs(len(gone))}, {sum(sizes[run] for run in gone):.1f} MB: removed.")

@@ -1,22 +1,23 @@
-"""The end of `run` and `resume`: what is there, what is not, what to do next, and the exit code."""
+"""The end of `run` and `resume`: what is there, what is not, what to do next; and the commands that make runs again."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+import shlex
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import partial
 from typing import TYPE_CHECKING
 
 import typer
 
 from rrm.errors import RrmError
-from rrmctl.cli.rerun import rerun_command
 from rrmctl.cli.screen import tell
-from rrmctl.commands import rrmctl
+from rrmctl.commands import rrmctl, run_commands
 from rrmctl.errors import Exit, UserError, room_error
 
 if TYPE_CHECKING:
     from rrmctl.store.layout import Layout
-    from rrmctl.store.sweeps import JobRecord, SweepRecord
+    from rrmctl.store.status import Status
+    from rrmctl.store.sweeps import Job, SweepRecord
 
 
 def finish(
@@ -32,25 +33,39 @@ def finish(
         damaged: a sweep the command was about could not be read, so that nobody knows whether all is done.
         closing: of the manifest, said where all is done.
     """
-    from rrmctl.store.reader import statuses
+    from rrmctl.store.status import statuses
 
+    command = partial(rrmctl, results=layout.root)
     names = list(dict.fromkeys(sweep.experiment for sweep in sweeps))
-    states = statuses(layout, (job for sweep in sweeps for job in sweep.everything))
-    found = {status.state for status in states.values()}
+    states = {
+        status.state for status in statuses(layout, (job for sweep in sweeps for job in sweep.everything)).values()
+    }
     lost: list[tuple[str, str]] = []
-    if code is not Exit.INTERRUPTED and "done" in found:
-        again = rrmctl("resume", results=layout.root)
-        _afterwards("not every curve was looked at", again, lambda: lost.extend(_lost(layout, sweeps)))
-        for name in (each for each in names if each not in dict(lost)):
-            later = rrmctl("resume", name, results=layout.root)
-            _afterwards(f"aggregates/{name}.parquet was not written", later, partial(_aggregate, layout, name))
+    if code is not Exit.INTERRUPTED and "done" in states:
+        _afterwards("not every curve was looked at", command("resume"), lambda: lost.extend(_lost(layout, sweeps)))
+        for name in (name for name in names if name not in dict(lost)):
+            _afterwards(
+                f"aggregates/{name}.parquet was not written", command("resume", name), partial(_aggregate, layout, name)
+            )
     for _, line in lost:
         tell(line)
-    if code is Exit.DONE and (lost or damaged or "failed" in found):
+    if code is Exit.DONE and (lost or damaged or "failed" in states):
         code = Exit.FAILED
-    _advise(layout, code, names, failed="failed" in found)
-    if closing and code is Exit.DONE:
-        tell(f"\n{closing}\n")
+    only = names if len(names) == 1 else ()
+    match code:
+        case Exit.DONE:
+            tell("All done. Next:")
+            for name in names:
+                tell(f"  {command('report', 'iqm', name)}\n  {command('plot', name)}")
+            if closing:
+                tell(f"\n{closing}\n")
+        case Exit.FAILED if "failed" in states:
+            tell(f"Some runs failed. Why: {command('status', *only, '--failed')}")
+            tell(f"Try them again: {command('resume', *only, '--retry-failed')}")
+        case Exit.FAILED:
+            tell("Not all is there; see above.")
+        case _:
+            tell(f"Not complete; this goes on where it stopped: {command('resume', *only)}")
     raise typer.Exit(code)
 
 
@@ -64,46 +79,62 @@ def _afterwards(undone: str, later: str, do: Callable[[], None]) -> None:
         tell(f"note: {undone}: {words}; later: {later}", err=True)
 
 
-def _advise(layout: Layout, code: Exit, names: Sequence[str], *, failed: bool) -> None:
-    command = partial(rrmctl, results=layout.root)
-    name = names[:1] if len(names) == 1 else ()
-    match code:
-        case Exit.DONE:
-            tell("All done. Next:")
-            for each in names:
-                tell(f"  {command('report', 'iqm', each)}")
-                tell(f"  {command('plot', each)}")
-        case Exit.FAILED if failed:
-            tell(f"Some runs failed. Why: {command('status', *name, '--failed')}")
-            tell(f"Try them again: {command('resume', *name, '--retry-failed')}")
-        case Exit.FAILED:
-            tell("Not all is there; see above.")
-        case _:
-            tell(f"Not complete; this goes on where it stopped: {command('resume', *name)}")
-
-
 def _lost(layout: Layout, sweeps: Iterable[SweepRecord]) -> Iterator[tuple[str, str]]:
     """The experiment, and a line for each run that is done and whose curve is not all there."""
-    from rrmctl.store.reader import lost_rows, run_status
+    from rrmctl.store.curve import lost_rows
+    from rrmctl.store.status import run_status
 
-    jobs: dict[str, tuple[SweepRecord, JobRecord]] = {job.id: (sweep, job) for sweep in sweeps for job in sweep.jobs}
-
-    def look(run: str) -> str | None:
-        folder = layout.run(run)
+    jobs = {job.id: (sweep, job) for sweep in sweeps for job in sweep.jobs}
+    for sweep, job in jobs.values():
+        folder = layout.run(job.id)
         status = run_status(folder)
-        return lost_rows(folder, status) if status.state == "done" else None
-
-    for run, (sweep, job) in jobs.items():
-        problem = look(run)
-        if problem is not None:
-            command = rerun_command(layout, sweep, job)
-            told = f"{job.label} is done, but {problem}. Bring the file back, or train it again: {command}"
-            yield sweep.experiment, told
+        if status.state == "done" and (problem := lost_rows(folder, status)) is not None:
+            again = f"Bring the file back, or train it again: {rerun_command(layout, sweep, job)}"
+            yield sweep.experiment, f"{job.label} is done, but {problem}. {again}"
 
 
 def _aggregate(layout: Layout, name: str) -> None:
     """Write an experiment's `aggregates/NAME.parquet`."""
-    from rrmctl.reports import aggregates
+    from rrmctl.reports.iqm_curves import write_curves
     from rrmctl.reports.select import read_sections
 
-    aggregates.write(layout, read_sections(layout.root, name))
+    write_curves(layout, read_sections(layout.root, name))
+
+
+def rerun_command(layout: Layout, sweep: SweepRecord, job: Job) -> str:
+    """The command that trains this run again, and no other."""
+    wanted = (job.task, job.method, job.seed)
+    alone = sum((other.task, other.method, other.seed) == wanted for other in sweep.jobs) == 1
+    (command,) = _commands(layout, sweep, [job], ["--force"] if alone else [])
+    # No option tells runs apart that differ in teacher or feedback alone: the one that is gone is the one that runs.
+    return command if alone else f"rm -r {shlex.quote(str(layout.run(job.id).path))} && {command}"
+
+
+def unconfigured(layout: Layout, jobs: Iterable[Job]) -> set[str]:
+    """Of these runs those whose configuration is gone, and those that need them: nothing but `run` makes them."""
+    left = {job.id: job for job in jobs}
+    gone = {run for run in left if not layout.run(run).config.exists()}
+    while needing := {run for run, job in left.items() if run not in gone and gone.intersection(job.requires)}:
+        gone |= needing
+    return gone
+
+
+def remaking_commands(
+    layout: Layout, sweeps: Iterable[SweepRecord], runs: set[str], states: Mapping[str, Status]
+) -> Iterator[str]:
+    """The commands that write the configurations of these runs anew and run them."""
+    for sweep in sweeps:
+        jobs = [job for job in sweep.jobs if job.id in runs]
+        failed = any(states[job.id].state in ("failed", "blocked") for job in jobs)
+        yield from _commands(layout, sweep, jobs, ["--retry-failed"] if failed else [])
+
+
+def _commands(layout: Layout, sweep: SweepRecord, jobs: Sequence[Job], options: Sequence[str]) -> list[str]:
+    from rrmctl.store.provenance import asked_by
+
+    asked = [asked_by(layout.run(job.id)) for job in sweep.jobs]
+    asked.append([sweep.experiment, *(word for prior in sweep.priors for word in ("--prior", prior))])
+    wanted = [(job.task, job.method, job.seed) for job in jobs]
+    return run_commands(
+        sweep.experiment, sweep.profile, sweep.overrides, wanted, asked=asked, options=options, results=layout.root
+    )

@@ -25,7 +25,7 @@ def _record() -> Path:
     return (Path(named) if named else Path.home() / ".local" / "state") / "rrmctl" / "trusted"
 
 
-def _known() -> frozenset[str]:
+def _trusted() -> frozenset[str]:
     try:
         return frozenset(read_bounded(_record(), _LARGEST).decode().split())
     except (OSError, RuntimeError, UnicodeDecodeError):
@@ -34,7 +34,7 @@ def _known() -> frozenset[str]:
 
 def remember(digests: Iterable[str]) -> None:
     """Take note of code that its user wants run. Where that cannot be kept, `resume` will ask."""
-    new = sorted({*digests} - _known())
+    new = sorted({*digests} - _trusted())
     with contextlib.suppress(OSError, RuntimeError):
         if new:
             make_folder(_record().parent)
@@ -48,19 +48,18 @@ def require_trust(root: Path, code: Mapping[str, str], *, trust: bool, asks: boo
     Args:
         code: digests of files, by path.
         trust: it was said beforehand.
-        asks: there is a person to ask.
+        asks: there is a person to ask, who may leave.
 
     Raises:
         UserError: nobody said so.
-        Exit: a person said no.
     """
-    known = _known()
-    foreign = [path for path, digest in code.items() if digest not in known]
+    trusted = _trusted()
+    foreign = [path for path, digest in code.items() if digest not in trusted]
     if foreign and not trust:
-        told = f"{root} has runs with code that you have not run from here before:\n  " + "\n  ".join(foreign)
+        problem = f"{root} has runs with code that you have not run from here before:\n  " + "\n  ".join(foreign)
         if not asks:
-            raise UserError(told, "look at it; --trust runs it")
-        typer.echo(spelled(told), err=True)
+            raise UserError(problem, "look at it; --trust runs it")
+        typer.echo(spelled(problem), err=True)
         if not typer.confirm("Run it?", err=True):
             raise typer.Exit(Exit.INCOMPLETE)
     remember(code.values())

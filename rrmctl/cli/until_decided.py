@@ -22,9 +22,6 @@ if TYPE_CHECKING:
     from rrmctl.store.sweeps import SweepRecord
     from rrmctl.store.trials import Pairing, Trial
 
-#: Runs the jobs of a plan that are not done, and says how that ended.
-Execute = Callable[["Plan"], tuple[Exit, "SweepRecord"]]
-
 
 @dataclass(frozen=True)
 class Rules:
@@ -36,15 +33,9 @@ class Rules:
 
 
 def asked_rules(until: bool, most: int | None, group: int | None, against: str | None, *, other: bool) -> Rules | None:
-    """The rules that the options ask for; None without --until-decided.
+    """The rules that the options ask for; None without --until-decided. Refuses options that do not go together.
 
-    Args:
-        until: --until-decided was given.
-        most, group, against: --max-seeds, --group and --against.
-        other: an option was given that says otherwise which runs to make.
-
-    Raises:
-        UserError: options that do not go together.
+    `most` is --max-seeds; `other` says whether an option was given that says otherwise which runs to make.
     """
     if not until:
         if (most, group, against) != (None, None, None):
@@ -56,7 +47,7 @@ def asked_rules(until: bool, most: int | None, group: int | None, against: str |
 
     size = group or Design().group
     if most % size:
-        fitting = [str(each) for each in (most // size * size, (most // size + 1) * size) if each]
+        fitting = [str(seeds) for seeds in (most // size * size, (most // size + 1) * size) if seeds]
         raise UserError(
             f"--max-seeds {most} is no whole number of groups of {size} seeds",
             f"--max-seeds {' or '.join(fitting)}, or another --group",
@@ -64,27 +55,25 @@ def asked_rules(until: bool, most: int | None, group: int | None, against: str |
     return Rules(most, size, against)
 
 
-def until_decided(layout: Layout, plan: Plan, rules: Rules, execute: Execute) -> tuple[Exit, SweepRecord]:
+def until_decided(
+    layout: Layout, plan: Plan, rules: Rules, execute: Callable[[Plan], tuple[Exit, SweepRecord]]
+) -> tuple[Exit, SweepRecord]:
     """Run groups of seeds until every comparison is decided or the most seeds are run, and say what was decided.
 
-    Args:
-        plan: of all seeds that may be run.
-        rules: of the test.
-        execute: runs a part of the plan.
-
-    Returns:
-        How the last part ended, and the record of what was run.
-
-    Raises:
-        UserError: nothing to compare, or a test with other rules was begun on these runs.
+    The plan is of all seeds that may be run; `execute` runs those jobs of a part of it that are not done, and says how
+    that ended. Returned is how the last part ended, and the record of what was run. Refused: nothing to compare, or
+    other rules than those of the test that was begun on these runs.
     """
-    from rrmctl.store.reader import statuses
-    from rrmctl.store.trials import begin_trial
+    from rrmctl.reports.pairwise import against
+    from rrmctl.stats import Design
+    from rrmctl.store.status import statuses
+    from rrmctl.store.trials import Trial, begin_trial
 
-    trial = _trial(plan, rules)
+    pairs = tuple(against((job.row for job in plan.jobs), rules.against))
+    trial = Trial(group=rules.group, looks=rules.most // rules.group, alpha=Design().alpha, pairs=pairs)
     begin_trial(layout, plan.experiment, plan.variant, trial)
     seeds = sorted({job.seed for job in plan.jobs})
-    left, sweep = list(trial.pairs), None
+    left, sweep = list(pairs), None
     for look in range(1, trial.looks + 1):
         here = seeds[: look * trial.group]
         code, part = execute(_part(plan, here, left))
@@ -93,22 +82,15 @@ def until_decided(layout: Layout, plan: Plan, rules: Rules, execute: Execute) ->
         if code is not Exit.DONE or not done:  # runs that failed before are not tried again unasked
             tell("Nothing more is decided before these runs are done; the same command goes on.")
             break
-        found = _look(layout, plan, trial, here)
-        _tell(found, look, len(here))
-        left = [each.pair for each in found.open]
+        contests = _look(layout, plan, trial, here)
+        tell(f"Look {look} of {trial.looks}, after {len(here)} seeds:")
+        for contest in contests.all:
+            tell(f"  {_name(contest.pair)}: {_said(contest, trial.group)}")
+        left = [contest.pair for contest in contests.open]
         if not left:
             break
     assert sweep is not None  # there is at least one look
     return code, sweep
-
-
-def _trial(plan: Plan, rules: Rules) -> Trial:
-    from rrmctl.reports.pairwise import against
-    from rrmctl.stats import Design
-    from rrmctl.store.trials import Trial
-
-    pairs = tuple(against((job.row for job in plan.jobs), rules.against))
-    return Trial(group=rules.group, looks=rules.most // rules.group, alpha=Design().alpha, pairs=pairs)
 
 
 def _part(plan: Plan, seeds: Iterable[int], pairs: Iterable[Pairing]) -> Plan:
@@ -124,31 +106,20 @@ def _part(plan: Plan, seeds: Iterable[int], pairs: Iterable[Pairing]) -> Plan:
 
 
 def _look(layout: Layout, plan: Plan, trial: Trial, seeds: list[int]) -> Contests:
-    """Where the comparisons stand with these seeds.
-
-    Raises:
-        UserError: a run is done and has no score, or the runs do not belong together.
-    """
+    """Where the comparisons stand with these seeds; refused where a run is done and has no score."""
     from rrmctl.reports.pairwise import decide
     from rrmctl.reports.select import read_sections
 
     sections = read_sections(layout.root, plan.experiment)
-    (section,) = (each for each in sections if each.variant == plan.variant)
-    found = decide(section.accepted(), trial, seeds=seeds)
-    for each in found.open:
-        if each.verdict.looks * trial.group < len(seeds):
+    (section,) = (section for section in sections if section.variant == plan.variant)
+    contests = decide(section.accepted(), trial, seeds=seeds)
+    for contest in contests.open:
+        if contest.verdict.looks * trial.group < len(seeds):
             raise UserError(
-                f"{_name(each.pair)}: a run is done, but cannot be scored",
+                f"{_name(contest.pair)}: a run is done, but cannot be scored",
                 f"`{rrmctl('report', 'power', plan.experiment, results=layout.root)}` says which and why",
             )
-    return found
-
-
-def _tell(found: Contests, look: int, seeds: int) -> None:
-    """What is decided so far, a line a comparison."""
-    tell(f"Look {look} of {found.design.looks}, after {seeds} seeds:")
-    for each in found.contests:
-        tell(f"  {_name(each.pair)}: {_said(each, found.design.group)}")
+    return contests
 
 
 def _name(pair: Pairing) -> str:
@@ -157,15 +128,14 @@ def _name(pair: Pairing) -> str:
 
 
 def _said(contest: Contest, group: int) -> str:
-    from rrmctl.reports.report import number
+    from rrmctl.reports.columns import number
 
-    verdict = contest.verdict
-    apart = f"mean score over training differs by {number(verdict.difference, contest.score)}"
-    match verdict.decision:
-        case "larger" | "smaller":
-            word = "better" if verdict.decision == "larger" else "worse"
-            return f"{word}, decided by the first {verdict.looks * group} seeds; {apart}"
-        case "equal":
-            return f"not separated by {verdict.looks * group} seeds; {apart}"
-        case _:
-            return f"open; {apart}"
+    verdict, seeds = contest.verdict, contest.verdict.looks * group
+    words = {
+        "larger": f"better, decided by the first {seeds} seeds",
+        "smaller": f"worse, decided by the first {seeds} seeds",
+        "equal": f"not separated by {seeds} seeds",
+        "open": "open",
+    }
+    apart = number(verdict.difference, contest.score)
+    return f"{words[verdict.decision]}; mean score over training differs by {apart}"

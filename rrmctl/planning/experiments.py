@@ -15,37 +15,32 @@ OWN = Path("experiments")
 
 
 def available(folder: Path | None) -> dict[str, Path]:
-    """Every manifest by the experiment's name; one in the folder stands in place of a shipped one of its name.
+    """Every manifest by the experiment's name: the shipped ones, and before them those of the user's folder.
 
-    Args:
-        folder: of the user's manifests; None for `OWN`, which need not be there.
-
-    Raises:
-        UserError: there is no such folder.
+    A folder that is named must be there; None stands for `OWN`, which need not.
     """
     if folder is not None and not folder.is_dir():
         raise UserError(f"there is no folder {folder}", "name another with --experiments DIR or RRMCTL_EXPERIMENTS")
-    return dict(sorted({path.stem: path for each in (SHIPPED, folder or OWN) for path in each.glob("*.toml")}.items()))
+    paths = [*SHIPPED.glob("*.toml"), *(folder or OWN).glob("*.toml")]
+    return dict(sorted({path.stem: path for path in paths}.items()))
 
 
-def replaced(found: dict[str, Path]) -> list[str]:
+def replaced(manifests: dict[str, Path]) -> list[str]:
     """Names of the shipped experiments in place of which another file stands."""
-    return [name for name, path in found.items() if path.parent.resolve() != SHIPPED and (SHIPPED / path.name).exists()]
+    return [
+        name for name, path in manifests.items() if path.parent.resolve() != SHIPPED and (SHIPPED / path.name).exists()
+    ]
 
 
 def find(name: str, folder: Path | None) -> Path:
-    """The manifest of the experiment `name`, or `name` itself where it is the path of a .toml file.
-
-    Raises:
-        UserError: there is none; the message suggests the nearest.
-    """
+    """The manifest of the experiment `name` (the nearest is suggested), or `name` itself: the path of a .toml file."""
     path = place(name)
     if name.endswith(".toml") and not path.is_dir():
         if not path.exists():
             raise UserError(f"there is no file {name}")
         return path
-    found = available(folder)
-    if name and name not in found and path.is_dir():
+    manifests = available(folder)
+    if name and name not in manifests and path.is_dir():
         raise UserError(f"{name} is a folder", "name an experiment of `rrmctl list`, or one manifest (*.toml)")
-    check_known(name, found, f'no experiment "{name}"')
-    return found[name]
+    check_known(name, manifests, f'no experiment "{name}"')
+    return manifests[name]

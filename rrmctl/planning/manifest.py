@@ -9,20 +9,25 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping, Sequence
+from itertools import chain
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from pydantic import (
     AfterValidator,
     BaseModel,
+    BeforeValidator,
     ConfigDict,
     Field,
     StrictInt,
     StringConstraints,
     ValidationError,
+    ValidationInfo,
     field_validator,
+    model_validator,
 )
+from pydantic_core import ErrorDetails
 
 from rrmctl.errors import UserError, check_known, shown
 from rrmctl.planning.toml import read_toml
@@ -32,7 +37,6 @@ Settings = dict[str, Any]
 
 Axis = Literal["tasks", "methods", "teachers", "feedback"]
 Text = Annotated[str, StringConstraints(strict=True, min_length=1, strip_whitespace=True)]
-Texts = Annotated[tuple[Text, ...], Field(min_length=1)]
 
 _NAME = re.compile(r"\w([\w .+@-]{0,98}[\w.+@-])?")
 
@@ -68,11 +72,25 @@ class GridRows(_Frozen):
     teacher: Name | None = None
     feedback: Name | None = None
 
+    @model_validator(mode="after")
+    def _says_something(self) -> GridRows:
+        if not self.model_fields_set:
+            raise ValueError("an empty entry matches every row; name a task or a method")
+        return self
+
+    @property
+    def given(self) -> dict[str, str]:
+        """The names that are given."""
+        return self.model_dump(include={*GridRows.model_fields}, exclude_none=True)
+
+    def __str__(self) -> str:
+        return "{" + ", ".join(f'{key} = "{name}"' for key, name in self.given.items()) + "}"
+
 
 class Include(GridRows):
     """Rows beside those of the grid; an axis that is not named takes all of the grid's values."""
 
-    set: Settings = Field(default_factory=dict)  #: settings of these rows alone
+    set: Settings = {}  #: settings of these rows alone
 
 
 class Grid(_Frozen):
@@ -85,32 +103,29 @@ class Grid(_Frozen):
     zip: tuple[Annotated[tuple[Axis, ...], Field(min_length=2)], ...] = ()  #: axes that advance together
     include: tuple[Include, ...] = ()
     exclude: tuple[GridRows, ...] = ()
-    set: Settings = Field(default_factory=dict)  #: settings of every row of this grid
+    set: Settings = {}  #: settings of every row of this grid
 
-    @field_validator("tasks", "methods", "teachers", "feedback")
+    @field_validator("tasks", "methods", "teachers", "feedback", "zip")
     @classmethod
-    def _distinct(cls, names: tuple[str, ...]) -> tuple[str, ...]:
-        twice = sorted(name for name, times in Counter(names).items() if times > 1)
-        if twice:
-            raise ValueError(f"named twice: {', '.join(twice[:5])}")
+    def _distinct(cls, names: tuple[Any, ...], info: ValidationInfo) -> tuple[Any, ...]:
+        paired = info.field_name == "zip"
+        times = Counter(chain(*names) if paired else names)
+        if twice := sorted(name for name in times if times[name] > 1):
+            problem = "an axis can be paired once only" if paired else "named twice"
+            raise ValueError(f"{problem}: {', '.join(twice[:5])}")
         return names
 
-    @field_validator("zip")
-    @classmethod
-    def _paired_once(cls, groups: tuple[tuple[str, ...], ...]) -> tuple[tuple[str, ...], ...]:
-        axes = [axis for group in groups for axis in group]
-        twice = sorted(axis for axis, times in Counter(axes).items() if times > 1)
-        if twice:
-            raise ValueError(f"an axis can be paired once only: {', '.join(twice)}")
-        return groups
 
-
-class MethodTable(_Frozen):
-    """A method of the manifest's own, or settings of a known one."""
+class MethodTable(_Frozen, extra="allow"):
+    """A method of the manifest's own, or settings of a known one: whatever is neither learner nor prior."""
 
     learner: Text | None = None  #: a learner's name, `true`, `prior`, or `file.py:Class`
     prior: Text | None = None  #: a prior's name, or `file.py:function`
-    settings: Settings = Field(default_factory=dict)
+
+    @property
+    def settings(self) -> Settings:
+        """Of its runs."""
+        return self.model_extra or {}
 
 
 class Manifest(_Frozen):
@@ -119,29 +134,25 @@ class Manifest(_Frozen):
     name: str  #: the file's stem
     path: Path  #: where it was read from
     title: Text
-    reproduces: Texts  #: figures and tables of the paper, or what else it is for
+    reproduces: Annotated[tuple[Text, ...], Field(min_length=1)]  #: figures and tables of the paper, or what it is for
     rule: Text  #: one sentence: what is reported, and at which step
     closing: Text | None = None  #: how to read what comes out: said by `run` once all is there
     default_profile: Text = "paper"  #: the scale when none is asked for
     seeds: StrictInt | tuple[StrictInt, ...] = 10  #: a number of seeds from 0 up, or a list of them
-    grids: Annotated[tuple[Grid, ...], Field(min_length=1)]
-    defaults: Settings = Field(default_factory=dict)  #: settings of every run
-    tasks: Sections = Field(default_factory=dict)  #: [task.NAME]
-    methods: dict[_Key, MethodTable] = Field(default_factory=dict)  #: [method.NAME]
-    teachers: Sections = Field(default_factory=dict)  #: [teacher.NAME]: keys of `TeacherConfig`
-    feedback: Sections = Field(default_factory=dict)  #: [feedback.NAME]: keys of `FeedbackConfig`
-    profiles: Sections = Field(default_factory=dict)  #: [profile.NAME]: taken as they stand, not scaled
+    grids: Annotated[
+        tuple[Grid, ...],
+        BeforeValidator(lambda grid: grid if isinstance(grid, list) else [grid]),
+        Field(alias="grid", min_length=1),
+    ]
+    defaults: Settings = {}  #: settings of every run
+    tasks: Sections = Field({}, alias="task")  #: [task.NAME]
+    methods: dict[_Key, MethodTable] = Field({}, alias="method")  #: [method.NAME]
+    teachers: Sections = Field({}, alias="teacher")  #: [teacher.NAME]: keys of `TeacherConfig`
+    feedback: Sections = {}  #: [feedback.NAME]: keys of `FeedbackConfig`
+    profiles: Sections = Field({}, alias="profile")  #: [profile.NAME]: taken as they stand, not scaled
 
 
-#: Keys and sections of a manifest, and the fields they fill where the two differ.
-_SECTIONS = {"task": "tasks", "method": "methods", "teacher": "teachers", "profile": "profiles", "grid": "grids"}
-_KEYS = {"title", "reproduces", "rule", "closing", "default_profile", "seeds", "defaults", "feedback", *_SECTIONS}
-
-
-def refuse_unknown(table: Mapping[str, Any], known: Iterable[str], where: str) -> None:
-    """Raise `UserError` for the first key of `table` that is not known, with the nearest one that is."""
-    for key in table:
-        check_known(key, sorted(known), f'{where}: unknown key "{key}"', "known keys")
+_KEYS = {described.alias or name for name, described in Manifest.model_fields.items()} - {"name", "path"}
 
 
 def load(path: Path) -> Manifest:
@@ -159,72 +170,41 @@ def load(path: Path) -> Manifest:
 
 def parse(table: Mapping[str, Any], path: Path) -> Manifest:
     """The manifest that `table`, read from `path`, describes. Raises `UserError` as `load` does."""
-    refuse_unknown(table, _KEYS, str(path))
-    fields = {_SECTIONS.get(key, key): value for key, value in table.items()}
-    grid = table.get("grid")
-    if grid is None:
+    for key in table:
+        check_known(key, sorted(_KEYS), f'{path}: unknown key "{key}"', "known keys")
+    if "grid" not in table:
         raise UserError(f"{path}: there is no [grid]", "add [grid] with tasks = [...] and methods = [...]")
-    fields["grids"] = grid if isinstance(grid, list) else [grid]
-    for number, entry in enumerate(fields["grids"], start=1):
-        _check_grid(entry, f"{path} [[grid]] {number}" if isinstance(grid, list) else f"{path} [grid]")
-    if isinstance(fields.get("methods"), dict):
-        fields["methods"] = {name: _split_method(entry) for name, entry in fields["methods"].items()}
     try:
-        return Manifest(name=path.stem, path=path, **fields)
+        return Manifest.model_validate({**table, "name": path.stem, "path": path})
     except ValidationError as error:
-        raise UserError(_explain(error, path, table.get("seeds"))) from None
+        mistakes = error.errors(include_url=False)
+    several = isinstance(table["grid"], list)
+    for *place, wrong in (mistake["loc"] for mistake in mistakes if mistake["type"] == "extra_forbidden"):
+        model = Include if "include" in place else GridRows if "exclude" in place else Grid
+        where = " ".join([f"[[grid]] {int(place[1]) + 1}" if several else "[grid]", *map(str, place[2:3])])
+        check_known(str(wrong), sorted(model.model_fields), f'{path} {where}: unknown key "{wrong}"', "known keys")
+    raise UserError("\n".join(_explained(mistakes, path, table.get("seeds"))))
 
 
-def _check_grid(grid: Any, where: str) -> None:
-    if not isinstance(grid, dict):
-        raise UserError(f"{where}: expected a table with tasks and methods, got {shown(grid)}")
-    refuse_unknown(grid, Grid.model_fields, where)
-    for key, model in (("include", Include), ("exclude", GridRows)):
-        rows = grid.get(key, [])
-        if isinstance(rows, list):
-            for row in rows:
-                if isinstance(row, dict):
-                    refuse_unknown(row, model.model_fields, f"{where} {key}")
-                    if not row:
-                        raise UserError(f"{where} {key}: an empty entry matches every row; name a task or a method")
-
-
-def _split_method(entry: Any) -> Any:
-    """`learner` and `prior` say what the method is; everything else in its section is settings."""
-    if not isinstance(entry, dict):
-        return entry
-    named = {key: entry[key] for key in ("learner", "prior") if key in entry}
-    return named | {"settings": {key: value for key, value in entry.items() if key not in named}}
-
-
-_SPELLED = {field: key for key, field in _SECTIONS.items()}
-
-
-def _explain(error: ValidationError, path: Path, seeds: Any) -> str:
+def _explained(mistakes: Sequence[ErrorDetails], path: Path, seeds: Any) -> dict[str, None]:
     """What pydantic found, in one line per mistake: file, key, what is wrong, what was given."""
     lines = []
-    mistakes = error.errors(include_url=False)
-    inside = {found["loc"][:depth] for found in mistakes for depth in range(len(found["loc"]))}
-    for found in [found for found in mistakes if found["loc"] not in inside][:5]:  # the innermost say it all
-        if found["loc"][0] == "seeds":  # one line for the number and the list that were tried
+    inside = {mistake["loc"][:depth] for mistake in mistakes for depth in range(len(mistake["loc"]))}
+    for mistake in [mistake for mistake in mistakes if mistake["loc"] not in inside][:5]:  # the innermost say it all
+        top, *rest = map(str, mistake["loc"])
+        key = f"[grid] {'.'.join(rest[1:])}".rstrip() if top == "grid" and rest else ".".join([top, *rest])
+        key = key.removesuffix(".[key]")  # of a name that is no name
+        given = shown(mistake["input"])
+        if top == "seeds":  # one line for the number and the list that were tried
             lines.append(f"{path}: seeds: expected a number or a list of integers; got {shown(seeds)}")
-            continue
-        key = _key([str(part) for part in found["loc"]])
-        if found["type"] == "missing":
+        elif mistake["type"] == "missing":
             lines.append(f"{path}: {key} is missing")
-        elif found["type"] == "too_short":
-            least = found["ctx"]["min_length"]
+        elif mistake["type"] == "too_short":
+            least = mistake["ctx"]["min_length"]
             lines.append(f"{path}: {key} is {'empty' if least == 1 else 'too short'}; name at least {least}")
+        elif mistake["type"] in ("model_type", "dict_type"):
+            lines.append(f"{path}: {key}: expected a table; got {given}")
         else:
-            what = found["msg"].removeprefix("Value error, ").replace("tuple", "list")
-            lines.append(f"{path}: {key}: {what}; got {shown(found['input'])}")
-    return "\n".join(dict.fromkeys(lines))
-
-
-def _key(location: list[str]) -> str:
-    """The key as a person wrote it: pydantic adds the numbers of list entries and the kinds it tried."""
-    top, *rest = location
-    if top == "grids" and rest:
-        return f"[grid] {'.'.join(rest[1:])}"
-    kinds = ("settings", "[key]", "int", "tuple[int, ...]")
-    return ".".join([_SPELLED.get(top, top), *(part for part in rest if part not in kinds)])
+            problem = mistake["msg"].removeprefix("Value error, ").replace("tuple", "list")
+            lines.append(f"{path}: {key}: {problem}; got {given}")
+    return dict.fromkeys(lines)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -46,10 +46,8 @@ def grammar() -> dict[str, tuple[str, str | None]]:
     names: dict[str, tuple[str, str | None]] = {"oracle": ("true", None)}
     names |= {learner: (learner, None) for learner in LEARNERS}
     names |= {f"sac-{prior}": ("prior", prior) for prior in PRIORS}
-    based = [learner for learner in LEARNERS if learner not in KINDS]
-    names |= {f"rrm-{learner}-{prior}": (learner, prior) for learner in based for prior in PRIORS}
-    names |= {f"rrm-{prior}": (BASE_LEARNER, prior) for prior in PRIORS}
-    return names
+    names |= {f"rrm-{base}-{prior}": (base, prior) for base in LEARNERS if base not in KINDS for prior in PRIORS}
+    return names | {f"rrm-{prior}": (BASE_LEARNER, prior) for prior in PRIORS}
 
 
 def vocabulary() -> str:
@@ -61,35 +59,24 @@ def vocabulary() -> str:
 
 
 def method(name: str, own: Mapping[str, MethodTable], folder: Path, where: str) -> Method:
-    """The method of this name: the manifest's own if it defines one, else by the grammar.
+    """The method of this name: the manifest's own if it defines one, else by the grammar; an unknown one is refused.
 
     Args:
         own: the manifest's [method.NAME] sections.
-        folder: the manifest's; files of users' code are named from there.
+        folder: the manifest's, where files of users' code are named from.
         where: the manifest, for messages.
-
-    Raises:
-        UserError: unknown method, learner or prior (with the nearest known), or a file that does not hold it.
     """
-    section = f"{where} [method.{name}]"
-    table = own.get(name, MethodTable())
-    names = grammar()
+    section, table, names = f"{where} [method.{name}]", own.get(name, MethodTable()), grammar()
     if table.learner is None and table.prior is None:
         if name not in names:
             raise UserError(
                 f'{where}: unknown method "{name}"{nearest(name, {*names, *own})}',
                 f"known: {', '.join(sorted(names))}; or define it in [method.{name}] with learner and prior",
             )
-        learner, prior = names[name]
-        return Method(name, learner, prior, table.settings)
-    learner = _named(
-        table.learner or BASE_LEARNER,
-        "learner",
-        (*LEARNERS, *(name for name, kind in KINDS.items() if kind.known)),
-        folder,
-        section,
-    )
-    prior = _named(table.prior, "prior", PRIORS, folder, section) if table.prior is not None else None
+        return Method(name, *names[name], table.settings)
+    learners = {*LEARNERS, *(learner for learner, kind in KINDS.items() if kind.known)}
+    learner = _named(table.learner or BASE_LEARNER, "learner", learners, folder, section)
+    prior = None if table.prior is None else _named(table.prior, "prior", PRIORS, folder, section)
     kind = KINDS.get(learner, LEARNED)
     if kind is PRIOR_ALONE and prior is None:
         raise UserError(f'{section}: the learner "prior" trains on a prior alone; name it with prior = "..."')
@@ -99,32 +86,27 @@ def method(name: str, own: Mapping[str, MethodTable], folder: Path, where: str) 
 
 
 def residual(prior: str, folder: Path) -> Method:
-    """The residual method on one prior, as `--prior` adds it; a file's is called rrm-FUNCTION.
-
-    Raises:
-        UserError: unknown prior, or a file that does not hold it.
-    """
+    """The residual method on one prior, as `--prior` adds it; a file's is called rrm-FUNCTION."""
     name = prior.rpartition(":")[2] if is_file_reference(prior) else prior
     return Method(f"rrm-{name}", BASE_LEARNER, _named(prior, "prior", PRIORS, folder, "--prior"))
 
 
-def _named(name: str, what: str, known: Mapping[str, str] | tuple[str, ...], folder: Path, where: str) -> str:
+def _named(name: str, what: str, known: Collection[str], folder: Path, where: str) -> str:
     """A name of ours as it is; a user's file with its whole path, so that it is found from any folder."""
-    if is_file_reference(name):
-        location, _, attribute = name.rpartition(":")
-        named, frozen = folder / place(location), is_frozen(name)
-        # Links are followed, but by their names language priors are told. Path.resolve dislikes links in a circle.
-        path = f"{os.path.realpath(named.parent)}/{named.name}" if frozen else os.path.realpath(named)
-        if TASK in location or (frozen and what == "prior"):
-            return f"{path}:{attribute}"  # checked for each task
+    if not is_file_reference(name):
+        if name not in known:
+            raise UserError(
+                f'{where}: unknown {what} "{name}"{nearest(name, known)}',
+                f"known: {', '.join(sorted(known))}, or path/to/file.py:name",
+            )
+        return name
+    location, _, attribute = name.rpartition(":")
+    path, frozen = folder / place(location), is_frozen(name)
+    # Links are followed, but by their names language priors are told. Path.resolve dislikes links in a circle.
+    whole = f"{os.path.realpath(path.parent)}/{path.name}" if frozen else os.path.realpath(path)
+    if TASK not in location and not (frozen and what == "prior"):  # those are checked for each task
         try:
-            check_file(f"{path}:{attribute}", what)
+            check_file(f"{whole}:{attribute}", what)
         except ConfigError as error:
             raise UserError(f"{where}: {error}") from None
-        return f"{path}:{attribute}"
-    if name not in known:
-        raise UserError(
-            f'{where}: unknown {what} "{name}"{nearest(name, known)}',
-            f"known: {', '.join(sorted(known))}, or path/to/file.py:name",
-        )
-    return name
+    return f"{whole}:{attribute}"

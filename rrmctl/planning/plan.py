@@ -21,52 +21,22 @@ from rrmctl.planning.methods import Method, method, residual
 from rrmctl.planning.prerequisites import Config, supply
 from rrmctl.planning.profiles import profile as find_profile
 from rrmctl.planning.settings import check_assignments, parse_assignments
+from rrmctl.store.sweeps import Job, SweepRecord
 
 _MOST_SEEDS = 10_000
 _MOST_RUNS = 100_000  # some ten seconds of planning
 _LARGEST_SEED = 2**32 - 1
 
 
-@dataclass(frozen=True)
-class Job:
-    """One run and the names under which this experiment reports it."""
+@dataclass(frozen=True, kw_only=True)
+class Plan(SweepRecord):
+    """What one `run` command asks for: jobs seed by seed, so that every method has its first curve early.
 
-    id: str  #: the run's identity
-    config: Config
-    task: str
-    method: str
-    teacher: str  #: `NOTHING_ASKED` where nothing is
-    feedback: str  #: "50@5000/5000": queries of a session, steps between sessions, queries in all; or the same
-    seed: int
+    Jobs of equal configuration are one job; what is needed stands before those that need it.
+    """
 
-    @property
-    def row(self) -> Label:
-        """What it is called, whatever its seed."""
-        return Label(self.task, self.method, self.teacher, self.feedback)
-
-    @property
-    def requires(self) -> tuple[str, ...]:
-        """Ids of the runs that must be done before it."""
-        return self.config.requires
-
-
-@dataclass(frozen=True)
-class Plan:
-    """What one `run` command asks for. Jobs of equal configuration are one job."""
-
-    experiment: str
-    profile: str
-    overrides: dict[str, Any]  #: of `--set`, by dotted name
-    variant: str  #: stands for profile and overrides; results of two variants are never put together
-    jobs: tuple[Job, ...]  #: seed by seed, so that every method has its first curve early
-    needed: tuple[Job, ...]  #: runs that jobs need and that are none of them, each before those that need it
+    configs: Mapping[str, Config]  #: of every run, by id
     manifest: Manifest
-    priors: tuple[str, ...] = ()  #: of `--prior`, files with their whole paths
-
-    @property
-    def everything(self) -> tuple[Job, ...]:
-        """All runs, those that others need first."""
-        return (*self.needed, *self.jobs)
 
 
 def make_plan(
@@ -93,50 +63,48 @@ def make_plan(
     Raises:
         UserError: an unknown name or key, a wrong type, or settings that cannot be run together.
     """
-    scale = _scale(manifest, profile)
+    where = "--profile" if profile is not None else f"{manifest.path}: default_profile"
+    scale = find_profile(manifest.default_profile if profile is None else profile, where).name
     settings = check_assignments(overrides) if isinstance(overrides, Mapping) else parse_assignments(overrides)
     numbers = parse_seeds(manifest.seeds, f"{manifest.path}: seeds") if seeds is None else parse_seeds(seeds, "--seeds")
     rows = rows_of(manifest)
-    known = {row.method: method(row.method, manifest.methods, manifest.path.parent, str(manifest.path)) for row in rows}
+    own = {row.method: method(row.method, manifest.methods, manifest.path.parent, str(manifest.path)) for row in rows}
     _check(manifest, rows)
     rows = _only(rows, "task", tasks, manifest)
-    added = _added(priors, known)
+    added = _added(priors, own)
     beside = [replace(row, method=name) for row in rows for name in added]
     rows = list(dict.fromkeys([*_only(rows, "method", methods, manifest, added), *beside]))
-    _refuse_many(rows, numbers, manifest)
-    cells, chains = [], []
-    for row in rows:
-        cell, chain = _cell(manifest, row, (known | added)[row.method], scale, settings)
-        cells.append(cell)
-        chains += chain
-    _refuse_ambiguous(cells, manifest)
-    jobs: dict[str, Job] = {}
-    for seed, cell in itertools.product(numbers, cells):
-        job = _seeded(cell, seed)
-        jobs.setdefault(job.id, job)
-    needed = {job.id: job for job in chains if job.id not in jobs}
-    return Plan(
-        experiment=manifest.name, profile=scale, overrides=settings, variant=variant(scale, settings),
-        jobs=tuple(jobs.values()), needed=tuple(needed.values()), manifest=manifest,
-        priors=tuple(str(new.prior) for new in added.values()),
-    )  # fmt: skip
-
-
-def _scale(manifest: Manifest, asked: str | None) -> str:
-    """The name of the profile that is asked for, else of the manifest's own default."""
-    if asked is not None:
-        return find_profile(asked, "--profile").name
-    return find_profile(manifest.default_profile, f"{manifest.path}: default_profile").name
-
-
-def _refuse_many(rows: Sequence[GridRow], seeds: Sequence[int], manifest: Manifest) -> None:
-    runs = len(rows) * len(seeds)
-    if runs > _MOST_RUNS:
+    if (runs := len(rows) * len(numbers)) > _MOST_RUNS:
         raise UserError(
-            f"{manifest.path}: {len(seeds):,} seeds of {len(rows):,} rows are {runs:,} runs; "
+            f"{manifest.path}: {len(numbers):,} seeds of {len(rows):,} rows are {runs:,} runs; "
             f"a plan has at most {_MOST_RUNS:,}",
             "ask for fewer --seeds, or for some --tasks or --methods",
         )
+    cells: list[tuple[Job, Config]] = []
+    chains: dict[str, Config] = {}
+    named: dict[Label, Config] = {}
+    for row in rows:
+        job, config, needed = _cell(manifest, row, (own | added)[row.method], scale, settings)
+        if named.setdefault(job.row, config) != config:  # no report could tell them apart
+            raise UserError(
+                f"{manifest.path}: two different runs are both called {' / '.join(job.row)}",
+                "give one of them a method name of its own: [method.NAME] with learner and prior",
+            )
+        cells.append((job, config))
+        chains |= {prerequisite.identity: prerequisite for prerequisite in needed}
+    jobs: dict[str, Job] = {}
+    configs: dict[str, Config] = {}
+    for seed, (job, config) in itertools.product(numbers, cells):
+        seeded = config.model_copy(update={"seed": seed})
+        run = seeded.identity
+        if run not in jobs:
+            jobs[run], configs[run] = replace(job, id=run, seed=seed), seeded
+    return Plan(
+        experiment=manifest.name, profile=scale, overrides=settings, variant=variant(scale, settings),
+        jobs=tuple(jobs.values()),
+        needed=tuple(_job(run, config) for run, config in chains.items() if run not in jobs),
+        configs=chains | configs, manifest=manifest, priors=tuple(str(new.prior) for new in added.values()),
+    )  # fmt: skip
 
 
 def parse_seeds(given: str | int | Sequence[int], where: str) -> list[int]:
@@ -184,10 +152,10 @@ def _check(manifest: Manifest, rows: list[GridRow]) -> None:
         check_names(manifest, row)
     sections: list[Mapping[str, Any]] = [manifest.tasks, manifest.methods, manifest.teachers, manifest.feedback]
     for axis, section in zip(AXES.values(), sections, strict=True):
-        used = {getattr(row, axis) for row in rows}
+        used = sorted({getattr(row, axis) for row in rows})
         for name in section:
             problem = f"{manifest.path} [{axis}.{name}]: the grid has no {axis} of this name"
-            check_known(name, sorted(used), problem, "the grid has")
+            check_known(name, used, problem, "the grid has")
     check_sections(manifest)
 
 
@@ -222,43 +190,24 @@ def _added(priors: Sequence[str], known: Mapping[str, Method]) -> dict[str, Meth
 
 def _cell(
     manifest: Manifest, row: GridRow, method: Method, scale: str, settings: dict[str, Any]
-) -> tuple[Job, list[Job]]:
-    """The row as a job of seed 0, its files read and digested once for all seeds; and the jobs that it needs first."""
+) -> tuple[Job, Config, tuple[Config, ...]]:
+    """The row as a job of seed 0, its files read and digested once for all seeds; and what must run before it."""
     try:
         # What --set names is seen from the command's folder, what the manifest names from its own.
         folder = Path.cwd() if "imitation.demos" in settings else manifest.path.parent
-        supplied = supply(configure(manifest, row, method, scale, settings), scale, folder)
-        config = supplied.config.canonical()
+        supplied, needed = supply(configure(manifest, row, method, scale, settings), scale, folder)
+        config = supplied.canonical()
     except RrmError as error:
         raise UserError(f"{manifest.path}: {row.task}, {row.method}: {error}") from None
-    asked = config.feedback is not None
-    cell = Job(
-        id="", config=config, task=row.task, method=row.method, teacher=row.teacher if asked else NOTHING_ASKED,
-        feedback=feedback_label(manifest, row, config), seed=0,
-    )  # fmt: skip
-    return cell, [_needed(each) for each in supplied.needed]
+    teacher = NOTHING_ASKED if config.feedback is None else row.teacher
+    label = Label(row.task, row.method, teacher, feedback_label(manifest, row, config))
+    return _job("", config, label), config, needed
 
 
-def _needed(config: Config) -> Job:
-    # An oracle that nothing reports has a name of its own: the experiment's may be of another length.
-    name = "expert" if config.method == "oracle" else config.method
+def _job(run: str, config: Config, label: Label | None = None) -> Job:
+    """A run under this label; one that nothing reports is called by its method."""
+    # An oracle that is only needed has a name of its own: the experiment's may be of another length.
+    names = label or Label(config.task, "expert" if config.method == "oracle" else config.method)
     return Job(
-        id=config.identity, config=config, task=config.task, method=name, teacher=NOTHING_ASKED,
-        feedback=NOTHING_ASKED, seed=config.seed,
-    )  # fmt: skip
-
-
-def _seeded(cell: Job, seed: int) -> Job:
-    config = cell.config.model_copy(update={"seed": seed})
-    return replace(cell, id=config.identity, config=config, seed=seed)
-
-
-def _refuse_ambiguous(cells: Iterable[Job], manifest: Manifest) -> None:
-    """Two different configurations under one name could not be told apart in any report."""
-    seen: dict[Label, Config] = {}
-    for cell in cells:
-        if seen.setdefault(cell.row, cell.config) != cell.config:
-            raise UserError(
-                f"{manifest.path}: two different runs are both called {' / '.join(cell.row)}",
-                "give one of them a method name of its own: [method.NAME] with learner and prior",
-            )
+        id=run, cell=config.cell, **names._asdict(), seed=config.seed, steps=config.steps, requires=config.requires
+    )

@@ -8,9 +8,7 @@ that differ in their feedback share it.
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from rrm.config import AIRL, IMITATION
 from rrm.files import place
@@ -19,21 +17,10 @@ from rrm.training.run_config import RunConfig
 from rrmctl.planning.layering import profile_layers
 from rrmctl.planning.settings import resolve
 
-if TYPE_CHECKING:
-    from rrm.config import ImitationConfig
-
 Config = RunConfig | DemosConfig
 
 
-@dataclass(frozen=True)
-class Supplied:
-    """A run's configuration with what it needs filled in."""
-
-    config: RunConfig
-    needed: tuple[Config, ...]  #: each before those that need it
-
-
-def supply(config: RunConfig, scale: str, folder: Path) -> Supplied:
+def supply(config: RunConfig, scale: str, folder: Path) -> tuple[RunConfig, tuple[Config, ...]]:
     """Name the runs that this one needs.
 
     Args:
@@ -41,33 +28,33 @@ def supply(config: RunConfig, scale: str, folder: Path) -> Supplied:
         scale: the profile's name.
         folder: where `imitation.demos` is named from.
 
+    Returns:
+        The configuration with what it needs filled in, and that: each before those that need it.
+
     Raises:
         UserError: the profile's settings for a run of the chain cannot be run together.
         RrmError: `imitation.demos` cannot be read.
     """
     if config.reward.prior != IMITATION and not config.from_demonstrations:
-        return Supplied(config, ())
-    imitation, needed = _demonstrated(config, scale, folder)
-    if config.from_demonstrations:
-        return Supplied(config.model_copy(update={"imitation": imitation}), needed)
-    prior = _resolved(
-        config.task, scale, AIRL, steps=imitation.steps, **{f"imitation.{k}": v for k, v in imitation}
-    )  # fmt: skip
-    reward = config.reward.model_copy(update={"prior_run": prior.identity})
-    return Supplied(config.model_copy(update={"reward": reward}), (*needed, prior))
-
-
-def _demonstrated(config: RunConfig, scale: str, folder: Path) -> tuple[ImitationConfig, tuple[Config, ...]]:
-    """The run's section with its demonstrations named, and the runs that make them where the user gave none."""
+        return config, ()
     imitation = config.imitation
+    needed: tuple[Config, ...] = ()
     if imitation.demos is not None:
-        return imitation.model_copy(update={"demos": os.path.realpath(folder / place(imitation.demos))}), ()
-    expert = _resolved(config.task, scale, "true")
-    demos = DemosConfig(
-        profile=scale, task=config.task, expert=expert,
-        episodes=imitation.episodes, least_success=imitation.expert_success,
-    )  # fmt: skip
-    return imitation.model_copy(update={"demos_run": demos.identity}), (expert, demos)
+        path = os.path.realpath(folder / place(imitation.demos))
+        imitation = imitation.model_copy(update={"demos": path})
+    else:
+        expert = _resolved(config.task, scale, "true")
+        demos = DemosConfig(
+            profile=scale, task=config.task, expert=expert,
+            episodes=imitation.episodes, least_success=imitation.expert_success,
+        )  # fmt: skip
+        imitation, needed = imitation.model_copy(update={"demos_run": demos.identity}), (expert, demos)
+    if config.from_demonstrations:
+        return config.model_copy(update={"imitation": imitation}), needed
+    section = {f"imitation.{name}": value for name, value in imitation}
+    prior = _resolved(config.task, scale, AIRL, steps=imitation.steps, **section)
+    reward = config.reward.model_copy(update={"prior_run": prior.identity})
+    return config.model_copy(update={"reward": reward}), (*needed, prior)
 
 
 def _resolved(task: str, scale: str, learner: str, **decided: object) -> RunConfig:

@@ -25,7 +25,4 @@ class Schedule(NamedTuple):
     def of(cls, label: str) -> Schedule | None:
         """The schedule that a label stands for; None where it is none's, such as that of nothing asked."""
         match = _LABEL.fullmatch(label)
-        if match is None:
-            return None
-        batch, every, budget, name = match.groups()
-        return cls(int(batch), int(every), int(budget), name or "")
+        return match and cls(int(match[1]), int(match[2]), int(match[3]), match[4] or "")

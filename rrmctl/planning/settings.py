@@ -4,33 +4,19 @@ from __future__ import annotations
 
 import json
 import re
-import types
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
-from typing import Annotated, Any, Union, get_args, get_origin
+from typing import Annotated, Any, Self, get_args
 
 from pydantic import BaseModel, TypeAdapter, ValidationError
 from pydantic.fields import FieldInfo
 
-from rrm.config import RewardConfig
 from rrm.errors import RrmError, nearest
 from rrm.toml import NestingError, loads
 from rrm.training.run_config import CONFIG_VERSION, RunConfig
 from rrmctl.errors import UserError, shown
-from rrmctl.planning.manifest import Settings
-from rrmctl.planning.profiles import Layer
 from rrmctl.planning.toml import refuse_odd
-
-#: Settings that say how long, how often and how much: the ones a profile shrinks in a manifest's numbers.
-AMOUNTS = (
-    "steps",
-    "feedback.every", "feedback.batch", "feedback.budget", "feedback.segment",
-    "exploration.seed_steps", "exploration.unsupervised_steps",
-    "evaluation.every",
-    *(f"reward.{name}.{amount}" for name, section in RewardConfig.own().items() for amount in section.amounts),
-    "imitation.steps", "imitation.seed_steps", "imitation.every", "imitation.window", "imitation.switch",
-)  # fmt: skip
 
 #: Larger integers do not survive JSON and parquet.
 _LARGEST = 2**53
@@ -56,15 +42,25 @@ _DECIDED = {
 }
 
 
+@cache
+def fields() -> dict[str, FieldInfo]:
+    """Every setting of a `RunConfig`, by dotted name."""
+
+    def leaves(model: type[BaseModel], prefix: str) -> Iterator[tuple[str, FieldInfo]]:
+        for name, described in model.model_fields.items():
+            kinds = get_args(described.annotation) or (described.annotation,)  # a section may be `Section | None`
+            section = next((kind for kind in kinds if isinstance(kind, type) and issubclass(kind, BaseModel)), None)
+            if section is None:
+                yield f"{prefix}{name}", described
+            else:
+                yield from leaves(section, f"{prefix}{name}.")
+
+    return dict(leaves(RunConfig, ""))
+
+
 def known_settings() -> list[str]:
     """Dotted names of everything a layer may set."""
-    return [name for name in _fields() if name not in _DECIDED]
-
-
-@cache
-def _fields() -> dict[str, TypeAdapter[Any]]:
-    """A checker for every leaf of `RunConfig`, by dotted name."""
-    return dict(_leaves(RunConfig, ""))
+    return [name for name in fields() if name not in _DECIDED]
 
 
 @cache
@@ -73,30 +69,25 @@ def _sections() -> dict[str, str]:
     return {name.rpartition(".")[0]: name for name in reversed(known_settings()) if "." in name}
 
 
-def _leaves(model: type[BaseModel], prefix: str) -> Iterator[tuple[str, TypeAdapter[Any]]]:
-    for name, described in model.model_fields.items():
-        inner = _section(described)
-        if inner is not None:
-            yield from _leaves(inner, f"{prefix}{name}.")
-        else:
-            checked: Any = Annotated[described.annotation, described]  # the type with its bounds
-            yield f"{prefix}{name}", TypeAdapter(checked)
+@cache
+def _checker(name: str) -> TypeAdapter[Any]:
+    """Of a setting's type, with its bounds."""
+    checked: Any = Annotated[fields()[name].annotation, fields()[name]]
+    return TypeAdapter(checked)
 
 
-def _section(field: FieldInfo) -> type[BaseModel] | None:
-    """The model of a nested section, `Section` or `Section | None`; None for a leaf."""
-    optional = get_origin(field.annotation) in (Union, types.UnionType)
-    kinds = get_args(field.annotation) if optional else (field.annotation,)
-    return next((kind for kind in kinds if isinstance(kind, type) and issubclass(kind, BaseModel)), None)
+@dataclass(frozen=True)
+class Layer:
+    """Settings, checked one by one, and the place they were read from, which errors name."""
 
+    where: str
+    settings: Mapping[str, Any] = field(hash=False)  #: by dotted name
+    written: Mapping[str, str] = field(default_factory=dict, hash=False)  #: as messages show what is written otherwise
 
-def flatten(layer: Layer) -> dict[str, Any]:
-    """The layer's settings by dotted name, each checked for name and type.
-
-    Raises:
-        UserError: unknown key, wrong type, or a setting that is decided elsewhere; the message names layer and key.
-    """
-    return {key: _checked(key, value, layer.where) for key, value in _walk(layer.settings, "", layer.where)}
+    @classmethod
+    def read(cls, where: str, tree: Any) -> Self:
+        """The layer of a tree of tables; an unknown key, a wrong type or what is decided elsewhere is refused."""
+        return cls(where, {name: _checked(name, value, where) for name, value in _walk(tree, "", where)})
 
 
 def _walk(tree: Any, prefix: str, where: str) -> Iterator[tuple[str, Any]]:
@@ -106,18 +97,17 @@ def _walk(tree: Any, prefix: str, where: str) -> Iterator[tuple[str, Any]]:
         name = f"{prefix}{key}"
         if name in _sections():
             yield from _walk(value, f"{name}.", where)
-        elif name in _fields():
+        elif name in fields():
             yield name, value
         else:
             raise UserError(
-                f'{where}: unknown key "{name}"{suggestion(name)}', "keys are those of RunConfig, e.g. agent.batch"
+                f'{where}: unknown key "{name}"{_suggestion(name)}', "keys are those of RunConfig, e.g. agent.batch"
             )
 
 
-def suggestion(name: str) -> str:
+def _suggestion(name: str) -> str:
     """The nearest known setting: by its whole dotted name, or by its last part alone."""
-    last = name.rpartition(".")[2]
-    same = [known for known in known_settings() if known.rpartition(".")[2] == last]
+    same = [setting for setting in known_settings() if setting.rpartition(".")[2] == name.rpartition(".")[2]]
     return f'; did you mean "{same[0]}"?' if same else nearest(name, known_settings())
 
 
@@ -126,74 +116,56 @@ def _checked(name: str, value: Any, where: str) -> Any:
         raise UserError(f"{where}: {name} cannot be set here; it follows from {_DECIDED[name]}")
     if isinstance(value, int) and abs(value) > _LARGEST:
         raise UserError(f"{where}: {name} = {value} is too large")
-    adapter = _fields()[name]
     try:
-        checked = adapter.validate_python(value, strict=True)
+        checked = _checker(name).validate_python(value, strict=True)
+        json.dumps(checked, allow_nan=False)
     except ValidationError as error:
         if isinstance(value, float) and value.is_integer():  # 1e5 is how people write 100000
             return _checked(name, int(value), where)
-        found = error.errors(include_url=False)[0]
-        raise UserError(f"{where}: {name} = {shown(value)}: {found['msg']}") from None
-    try:
-        json.dumps(checked, allow_nan=False)
+        raise UserError(f"{where}: {name} = {shown(value)}: {error.errors(include_url=False)[0]['msg']}") from None
     except (TypeError, ValueError):
         raise UserError(f"{where}: {name} = {shown(value)}: only text, finite numbers, lists and tables") from None
     return checked
 
 
-@dataclass(frozen=True)
-class Checked:
-    """A layer whose settings are checked."""
-
-    where: str
-    settings: Mapping[str, Any]  #: by dotted name
-    written: Mapping[str, str] = field(default_factory=dict)  #: for messages: settings that are written otherwise
+def merged(layers: Iterable[Layer]) -> dict[str, Any]:
+    """The settings of all layers, later ones winning."""
+    return {name: value for layer in layers for name, value in layer.settings.items()}
 
 
-def resolve(layers: Iterable[Checked], cell: str, **decided: Any) -> RunConfig:
-    """One configuration out of checked layers, later ones winning.
+def resolve(layers: Sequence[Layer], cell: str, **decided: Any) -> RunConfig:
+    """One configuration out of layers, later ones winning.
+
+    Settings that do not go together (a segment longer than an episode, feedback after the end) are refused; the hint
+    names the layer that the offending one came from.
 
     Args:
-        layers: widest first.
         cell: what is being configured, for messages: file, task and method.
         decided: settings by dotted name that no layer may change.
-
-    Raises:
-        UserError: the settings do not go together (a segment longer than an episode, feedback after the end); the
-            message names the layer that the offending setting came from.
     """
-    values: dict[str, Any] = {}
-    origin: dict[str, str] = {}
-    for layer in layers:
-        values |= layer.settings
-        origin |= {
-            name: f"{name} = {layer.written.get(name, repr(value))} is set in {layer.where}"
-            for name, value in layer.settings.items()
-        }
+    values, origin = merged(layers), {name: layer for layer in layers for name in layer.settings}
     if "steps" not in values:
         raise UserError(
             f"{cell}: no profile says how many steps this task takes", "set steps in the manifest's [defaults]"
         )
+    tree: dict[str, Any] = {}
+    for name, value in (values | decided).items():
+        *sections, leaf = name.split(".")
+        table = tree
+        for section in sections:
+            table = table.setdefault(section, {})
+        table[leaf] = value
     try:
-        return RunConfig.model_validate(nested(values | decided))
+        return RunConfig.model_validate(tree)
     except ValidationError as error:
-        found = error.errors(include_url=False)[0]
-        reason = found.get("ctx", {}).get("error")
-        message = str(reason) if isinstance(reason, RrmError) else f"{'.'.join(map(str, found['loc']))}: {found['msg']}"
-    key = message.partition(":")[0]
-    raise UserError(f"{cell}: {message}", origin.get(key))
-
-
-def nested(flat: Mapping[str, Any]) -> Settings:
-    """`{"agent.batch": 1}` becomes `{"agent": {"batch": 1}}`."""
-    tree: Settings = {}
-    for name, value in flat.items():
-        *rooms, leaf = name.split(".")
-        at = tree
-        for room in rooms:
-            at = at.setdefault(room, {})
-        at[leaf] = value
-    return tree
+        mistake = error.errors(include_url=False)[0]
+    reason = mistake.get("ctx", {}).get("error")
+    message = str(reason) if isinstance(reason, RrmError) else f"{'.'.join(map(str, mistake['loc']))}: {mistake['msg']}"
+    name = message.partition(":")[0]
+    hint = None
+    if (source := origin.get(name)) is not None:
+        hint = f"{name} = {source.written.get(name, repr(values[name]))} is set in {source.where}"
+    raise UserError(f"{cell}: {message}", hint)
 
 
 def config_version() -> int:
@@ -202,11 +174,7 @@ def config_version() -> int:
 
 
 def parse_assignments(assignments: Iterable[str]) -> dict[str, Any]:
-    """`--set` arguments, `key=value` with a TOML value, by dotted name; a bare word is text.
-
-    Raises:
-        UserError: not an assignment, an unknown key, a wrong type.
-    """
+    """`--set` arguments, `key=value` with a TOML value, by dotted name and checked; a bare word is text."""
     settings: dict[str, Any] = {}
     for text in assignments:
         key, equals, value = text.partition("=")
@@ -219,18 +187,17 @@ def parse_assignments(assignments: Iterable[str]) -> dict[str, Any]:
 
 
 def check_assignments(settings: Mapping[str, Any]) -> dict[str, Any]:
-    """Overrides by dotted name, each checked. Raises `UserError` as `parse_assignments` does."""
+    """Overrides by dotted name, each checked."""
     for name, value in settings.items():
         if name in _sections():
             inside = value if isinstance(value, dict) else ()
-            named = [f"{name}.{key}" for key in inside if f"{name}.{key}" in _fields()]
-            example = next(iter(named), _sections()[name])
+            example = next((f"{name}.{key}" for key in inside if f"{name}.{key}" in fields()), _sections()[name])
             raise UserError(
                 f"--set {name}: {name} is a section; write {example}=...", "one --set for each setting in it"
             )
-        if name not in _fields():
+        if name not in fields():
             raise UserError(
-                f'--set {name}: unknown setting "{name}"{suggestion(name)}', "rrmctl plan --help shows examples"
+                f'--set {name}: unknown setting "{name}"{_suggestion(name)}', "rrmctl plan --help shows examples"
             )
     return {name: _checked(name, value, "--set") for name, value in settings.items()}
 

@@ -39,27 +39,25 @@ def read_toml(path: Path) -> dict[str, Any]:
     return table
 
 
-def refuse_odd(value: Any, where: str) -> None:
+def refuse_odd(value: Any, where: str, name: str = "", depth: int = 0) -> None:
     """Refuse what TOML can say and no setting, name or path can be.
 
     Raises:
         UserError: with the place of the first such value.
     """
-    left: list[tuple[Any, str, int]] = [(value, "", 0)]
-    while left:
-        value, name, depth = left.pop()
-        place = f"{where}: {name}" if name else where
-        if depth > DEEPEST:
-            raise UserError(f"{place}: nested too deeply, in more than {DEEPEST} tables and lists")
-        match value:
-            case dict():
-                for key, inner in value.items():
-                    if _CONTROL.search(key) or "\n" in key or len(key) > _LONGEST_KEY:
-                        raise UserError(f"{place}: {shown(key)} cannot be a key", "at most 100 characters, in one line")
-                    left.append((inner, f"{name}.{key}" if name else key, depth + 1))
-            case list():
-                left += [(inner, name, depth + 1) for inner in value]
-            case str() if _CONTROL.search(value):
-                raise UserError(f"{place}: {shown(value)} holds a control character")
-            case int() if not -(2**63) <= value < 2**63:
-                raise UserError(f"{place}: an integer of more than 64 bits is too large")
+    place = f"{where}: {name}" if name else where
+    if depth > DEEPEST:
+        raise UserError(f"{place}: nested too deeply, in more than {DEEPEST} tables and lists")
+    match value:
+        case dict():
+            for key, inner in value.items():
+                if _CONTROL.search(key) or "\n" in key or len(key) > _LONGEST_KEY:
+                    raise UserError(f"{place}: {shown(key)} cannot be a key", "at most 100 characters, in one line")
+                refuse_odd(inner, where, f"{name}.{key}" if name else key, depth + 1)
+        case list():
+            for inner in value:
+                refuse_odd(inner, where, name, depth + 1)
+        case str() if _CONTROL.search(value):
+            raise UserError(f"{place}: {shown(value)} holds a control character")
+        case int() if not -(2**63) <= value < 2**63:
+            raise UserError(f"{place}: an integer of more than 64 bits is too large")

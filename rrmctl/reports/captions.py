@@ -28,7 +28,8 @@ def facts(section: Section, settings: Statistics) -> dict[str, Any]:
         "planned_runs": section.planned,
         "contained_runs": section.contained,
         "absent": [
-            {**each.label._asdict(), "seed": each.seed, "run": each.run, "state": each.state} for each in section.absent
+            {**absent.label._asdict(), "seed": absent.seed, "run": absent.run, "state": absent.state}
+            for absent in section.absent
         ],
         "problems": list(section.problems),
         "mixed": list(section.mixed),
@@ -38,14 +39,12 @@ def facts(section: Section, settings: Statistics) -> dict[str, Any]:
 
 def merged_facts(name: str, sections: Sequence[Section], settings: Statistics) -> dict[str, Any]:
     """The same of a table made of several experiments of one profile."""
-    each = [facts(section, settings) for section in sections]
-    merged = {key: [item for found in each for item in found[key]] for key, value in each[0].items() if _listed(value)}
-    counts = {key: sum(found[key] for found in each) for key in ("planned_runs", "contained_runs")}
-    return each[0] | merged | counts | {"experiment": name, "experiments": [found["experiment"] for found in each]}
-
-
-def _listed(value: Any) -> bool:
-    return isinstance(value, list)
+    merged, *others = (facts(section, settings) for section in sections)
+    for other in others:
+        for key, value in merged.items():
+            if isinstance(value, list) or key in ("planned_runs", "contained_runs"):
+                merged[key] = value + other[key]
+    return merged | {"experiment": name, "experiments": [section.experiment for section in sections]}
 
 
 def title(section: Section, name: str | None = None) -> str:
@@ -54,12 +53,11 @@ def title(section: Section, name: str | None = None) -> str:
     if section.profile == "smoke":
         text += " (machinery only, not results)"
     if section.overrides:
-        text += " · " + ", ".join(f"{key}={_plain(value)}" for key, value in section.overrides.items())
+        words = {
+            key: value if isinstance(value, str) else json.dumps(value) for key, value in section.overrides.items()
+        }
+        text += " · " + ", ".join(f"{key}={value}" for key, value in words.items())
     return text
-
-
-def _plain(value: Any) -> str:
-    return value if isinstance(value, str) else json.dumps(value)
 
 
 def contents_notes(section: Section) -> Iterator[str]:
@@ -71,39 +69,30 @@ def contents_notes(section: Section) -> Iterator[str]:
     yield from section.remarks
 
 
-def absent_notes(section: Section) -> Iterator[str]:
-    """What was planned and is not in it: a sentence for each state, and one for series read before their end."""
-    by_state: dict[str, dict[str, list[int]]] = defaultdict(lambda: defaultdict(list))
-    for each in section.absent:
-        by_state[each.state][str(each.label)].append(each.seed)
-    for state, series in by_state.items():
-        which = "; ".join(f"{name}: {_seeds(seeds)}" for name, seeds in series.items())
-        yield f"Not contained, {state}: {which}."
-    yield from early_notes(section)
+def absent_notes(section: Section, *, short: bool = False) -> Iterator[str]:
+    """What was planned and is not in it: a sentence for each state, and one for series read before their end.
 
-
-def early_notes(section: Section) -> Iterator[str]:
-    """Which series are read before their end, if any."""
+    Where words are dear (`short`) with methods together that lack the same seeds, and teachers where needed.
+    """
+    asking = {
+        (series.label.task, *series.label[2:]) for series in section.series if series.label.teacher != NOTHING_ASKED
+    }
+    several = {task for task, count in Counter(task for task, *_ in asking).items() if count > 1}
+    by_state: dict[str, dict[Label, list[int]]] = defaultdict(lambda: defaultdict(list))
+    for absent in section.absent:
+        by_state[absent.state][absent.label].append(absent.seed)
+    for state, by_label in by_state.items():
+        alike: dict[tuple[str, str], list[str]] = defaultdict(list)
+        for label, seeds in by_label.items():
+            place = label.place if label.task in several else label.task
+            alike[place, _seeds(seeds)].append(label.method)
+        which = [f"{place}, {', '.join(names)}: {seeds}" for (place, seeds), names in alike.items()]
+        if not short:
+            which = [f"{label}: {_seeds(seeds)}" for label, seeds in by_label.items()]
+        yield f"Not contained, {state}: {'; '.join(which)}."
     early = [f"{s.label} up to step {s.steps[-1]:,}" for s in section.series if s.n and not s.finished]
     if early:
         yield f"Under way, read as far as all of their runs have come: {'; '.join(early)}."
-
-
-def short_absent_notes(section: Section) -> Iterator[str]:
-    """The same for a figure, where words are dear: methods that lack the same seeds together, teachers where needed."""
-    panels = {(each.label.task, *each.label[2:]) for each in section.series if each.label.teacher != NOTHING_ASKED}
-    several = {task for task, count in Counter(task for task, *_ in panels).items() if count > 1}
-    by_state: dict[str, dict[Label, list[int]]] = defaultdict(lambda: defaultdict(list))
-    for each in section.absent:
-        by_state[each.state][each.label].append(each.seed)
-    for state, series in by_state.items():
-        alike: dict[tuple[str, str], list[str]] = defaultdict(list)
-        for label, seeds in series.items():
-            place = label.place if label.task in several else label.task
-            alike[place, _seeds(seeds)].append(label.method)
-        which = "; ".join(f"{place}, {', '.join(names)}: {seeds}" for (place, seeds), names in alike.items())
-        yield f"Not contained, {state}: {which}."
-    yield from early_notes(section)
 
 
 def _seeds(seeds: Sequence[int]) -> str:
@@ -129,7 +118,7 @@ _KIND_IN_WORDS = {
 COVERAGE = {3: (71, 76), 4: (82, 87), 5: (84, 92), 7: (85, 92), 10: (90, 94), 20: (93, 95)}
 
 
-def _told_coverage(counts: Iterable[int]) -> str:
+def _covered(counts: Iterable[int]) -> str:
     return ", ".join(f"{COVERAGE[n][0]}-{COVERAGE[n][1]} % with {n}" for n in counts)
 
 
@@ -143,7 +132,7 @@ EXPLAINED = (
     f"IQM: {_KIND_IN_WORDS['rliable']}, of one number per seed; its episodes are averaged first.",
     f"Interval: {SURE} percentile bootstrap over seeds with tasks as strata, {REPLICATES:,} replicates, generator seed "
     f"{BOOTSTRAP_SEED}; none below {MIN_RUNS} seeds. With few seeds it covers less than its name says: about "
-    f"{_told_coverage(COVERAGE)}.",
+    f"{_covered(COVERAGE)}.",
     "25-75 %: the spread of the seeds, not an interval.",
     "Bold: the highest of the methods but the oracle; where intervals overlap, that may be chance.",
     f"Evaluation: {_USUAL_EVALUATION}.",
@@ -156,8 +145,10 @@ def statistics_notes(section: Section, settings: Statistics) -> Iterator[str]:
         yield f"IQM: {_KIND_IN_WORDS[settings.kind]}."
     if settings.replicates != REPLICATES:
         yield f"Intervals: {settings.replicates:,} replicates."
-    counts = {each.n for each in section.series if min(COVERAGE) <= each.n < _ENOUGH}
+    counts = {series.n for series in section.series if min(COVERAGE) <= series.n < _ENOUGH}
     if counts:
-        known = sorted({max(n for n in COVERAGE if n <= count) for count in counts})
-        yield f"A {SURE} interval of so few seeds holds the truth less often: about {_told_coverage(known)}."
-    yield from (f"Evaluation: {each}." for each in section.evaluation if not _USUAL_EVALUATION.startswith(each))
+        measured = sorted({max(n for n in COVERAGE if n <= count) for count in counts})
+        yield f"A {SURE} interval of so few seeds holds the truth less often: about {_covered(measured)}."
+    yield from (
+        f"Evaluation: {protocol}." for protocol in section.evaluation if not _USUAL_EVALUATION.startswith(protocol)
+    )

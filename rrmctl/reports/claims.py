@@ -1,95 +1,87 @@
-"""What the paper's prose says of its experiments on states, as tests that a store can answer.
-
-A claim is a conjunction of comparisons, each on every one of its tasks unless they are pooled. "Reaches 100 %", "near
-60 %" and the like are taken within five points (`NEAR`); "at least 85 %" and "below 60 %" as they stand. A method that
-"outperforms", "improves" or "converges faster" has the higher mean over the evaluations of its curve, unless the prose
-speaks of a table or of the box figure; those are read where they are.
-"""
+"""What the paper's prose says of its experiments on states, from `claims.toml`, as tests that a store can answer."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Literal, NamedTuple
+import re
+import tomllib
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any, Literal, NamedTuple, get_args
 
 import numpy as np
+from pydantic import ConfigDict
+from pydantic.dataclasses import dataclass
 
 from rrm.envs.tasks import ScoreKind
-from rrmctl.reports.series import Floats, Series, Steps
+from rrmctl.reports.series import Series
+from rrmctl.stats import Floats, Steps
 
-NEAR = 0.05
+PATH = Path(__file__).with_suffix(".toml")
 
+_ARM = re.compile(
+    r"([\w-]+)(?: \((?:(?P<teacher>[\w-]+)|(?P<full>full feedback)|(?P<field>batch|every) x ([\d.]+))\))?"
+)
 
-class Budget(NamedTuple):
-    """A schedule of feedback, by its proportion to the experiment's fullest one: the same in every profile."""
+_STRICT = ConfigDict(extra="forbid")
 
-    batch: float = 1.0  #: questions of a session
-    every: float = 1.0  #: steps between sessions
-
-    def __str__(self) -> str:
-        if self == Budget():
-            return "full feedback"
-        return f"batch x {self.batch:g}" if self.every == 1 else f"every x {self.every:g}"
+#: "above" is of two arms: their difference is above zero.
+Relation = Literal["at least", "below", "above"]
 
 
 class Arm(NamedTuple):
     """Which series of a task is meant."""
 
+    words: str  #: `pebble`, `pebble (stochastic)`, `pebble (batch x 0.1)`
     method: str
-    teacher: str | None = None  #: None: the task's only one
-    budget: Budget | None = None  #: None: the task's only one
+    teacher: str | None  #: None: the task's only one
+    #: Questions of a session and steps between two, by their proportion to the fullest schedule; None: the only one.
+    budget: tuple[float, float] | None
+
+    @classmethod
+    def of(cls, words: str) -> Arm:
+        """The arm that is so called; a `ValueError` where none can be."""
+        match = _ARM.fullmatch(words)
+        if match is None:
+            raise ValueError(f"{PATH.name}: {words!r} is no method with its teacher or its feedback")
+        share = float(match[5] or 1)
+        budget = (1.0, share) if match["field"] == "every" else (share, 1.0)
+        return cls(words, match[1], match["teacher"], budget if match["field"] or match["full"] else None)
 
     def __str__(self) -> str:
-        told = [str(word) for word in (self.teacher, self.budget) if word is not None]
-        return self.method + (f" ({', '.join(told)})" if told else "")
+        return self.words
 
 
-#: What a test looks at: steps [T] and values [S, T] of a series.
-Measure = Callable[[Series], tuple[Steps, Floats]]
-
-
-def scored(series: Series) -> tuple[Steps, Floats]:
-    """The score the paper reports: success, or true return."""
-    return series.steps, series.values
-
-
-def label_accuracy(series: Series) -> tuple[Steps, Floats]:
-    """Agreement of the learned reward with the teacher's labels."""
-    return series.measure("label_accuracy")
-
-
-def residual_beyond_prior(series: Series) -> tuple[Steps, Floats]:
-    """By how much the residual's mean is further from zero than the prior's."""
-    steps, residual = series.measure("residual_mean")
-    return steps, np.abs(residual) - np.abs(series.measure("prior_mean")[1])
-
-
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, config=_STRICT)
 class Reading:
     """What is read of a series' curve."""
 
     words: str
     steps: Literal["last", "common", "all"] = "last"  #: the last one up to `until`, the box figure's, all up to `until`
     until: float = 1.0  #: share of the training
-    measure: Measure = scored
+    measure: Literal["label_accuracy", "residual beyond prior"] | None = None  #: None: the score the paper reports
     unit: ScoreKind | None = None  #: how numbers are written; None: as the task's score
     spread: bool = False  #: the standard deviation of the seeds, not their interquartile mean
 
+    def of(self, series: Series) -> tuple[Steps, Floats]:
+        """All steps [T] at which it can be read, and the values there, [S, T]."""
+        match self.measure:
+            case None:
+                return series.steps, series.values
+            case "residual beyond prior":  # by how much the residual's mean is further from zero than the prior's
+                steps, residual = series.measure("residual_mean")
+                return steps, np.abs(residual) - np.abs(series.measure("prior_mean")[1])
+            case column:
+                return series.measure(column)
 
-FINAL = Reading(words="last step")
-BOX = Reading(words="common step", steps="common")
-MEAN = Reading(words="mean over steps", steps="all")
-SPREAD = Reading(words="standard deviation of the seeds, last step", spread=True)
 
-
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, config=_STRICT)
 class Test:
     """One comparison: of an arm with a bound, or with another arm."""
 
     __test__ = False  # pytest takes everything called so for its own
 
     arm: Arm
-    relation: Literal["at least", "below", "above"]  #: "above" is of two arms: the difference is above zero
+    relation: Relation
     than: float | Arm
     reading: Reading
 
@@ -100,26 +92,7 @@ class Test:
         return f"{self.arm} {self.relation} {bound}"
 
 
-def at_least(bound: float, *methods: str | Arm, reading: Reading = FINAL) -> tuple[Test, ...]:
-    """Each of the methods reaches the bound."""
-    return tuple(Test(arm=_arm(each), relation="at least", than=bound, reading=reading) for each in methods)
-
-
-def below(bound: float, *methods: str | Arm, reading: Reading = FINAL) -> tuple[Test, ...]:
-    """Each of the methods stays below the bound."""
-    return tuple(Test(arm=_arm(each), relation="below", than=bound, reading=reading) for each in methods)
-
-
-def above(other: str | Arm, *methods: str | Arm, reading: Reading = MEAN) -> tuple[Test, ...]:
-    """Each of the methods is above the other."""
-    return tuple(Test(arm=_arm(each), relation="above", than=_arm(other), reading=reading) for each in methods)
-
-
-def _arm(method: str | Arm) -> Arm:
-    return method if isinstance(method, Arm) else Arm(method)
-
-
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, config=_STRICT)
 class Claim:
     """A sentence of the paper and the comparisons that it stands for; it holds where all of them do."""
 
@@ -130,3 +103,32 @@ class Claim:
     tasks: tuple[str, ...]
     tests: tuple[Test, ...]
     pooled: bool = False  #: all tasks in one number; otherwise each by itself
+
+
+def read_claims(content: Mapping[str, Any]) -> tuple[Claim, ...]:
+    """The claims of a file like `claims.toml`.
+
+    Raises:
+        ValueError: it holds what a claim has not, or lacks what it has.
+        KeyError: a reading is not there.
+    """
+    readings = {name: Reading(**reading) for name, reading in content["readings"].items()}
+    claims = []
+    for claim in content["claims"]:
+        tests = tuple(test for entry in claim["tests"] for test in _tests(entry, readings))
+        claims.append(Claim(**claim | {"tests": tests}))
+    return tuple(claims)
+
+
+def _tests(entry: Mapping[str, Any], readings: Mapping[str, Reading]) -> Iterator[Test]:
+    """The comparisons of one entry of a claim's `tests`: of each arm with each of the others, or with the bound."""
+    relations: list[Relation] = [name for name in get_args(Relation) if name in entry]
+    if len(relations) != 1 or entry.keys() != {"arms", "reading", *relations}:
+        raise ValueError(f"{PATH.name}: a test has arms, a reading and one of {get_args(Relation)}, not {entry}")
+    (relation,) = relations
+    for than in map(Arm.of, entry[relation]) if relation == "above" else [entry[relation]]:
+        for words in entry["arms"]:
+            yield Test(Arm.of(words), relation, than, readings[entry["reading"]])
+
+
+CLAIMS = read_claims(tomllib.loads(PATH.read_text(encoding="utf-8")))

@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from rrmctl.commands import run_commands
@@ -17,9 +16,9 @@ from rrmctl.errors import UserError
 from rrmctl.labels import Label
 from rrmctl.planning.settings import config_version
 from rrmctl.reports.series import Section
-from rrmctl.store.layout import Layout, RunFolder
+from rrmctl.store.layout import Layout
 from rrmctl.store.provenance import asked_by, made_with, version
-from rrmctl.store.reader import read_config
+from rrmctl.store.snapshot import Snapshot
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -27,7 +26,6 @@ if TYPE_CHECKING:
 VERSION = "configuration version"
 PRECISION = "precision"
 TRUE_REWARD = "true reward on fixed states"
-CODE = "code"
 
 #: Packages that every run uses, and what each environment says of itself (its simulator among it), as recorded.
 _PACKAGES = {"versions.rrmctl": "rrmctl", "versions.torch": "torch"}
@@ -44,11 +42,6 @@ class Making:
     facts: Mapping[str, str]  #: what decides its numbers beside the settings, by name; what is not recorded is left out
     code: str | None  #: digest of the library's sources; None where nothing was recorded
 
-    @property
-    def version(self) -> int:
-        """Of its configuration."""
-        return int(self.config["config_version"])
-
 
 class Made(NamedTuple):
     """A run in a section."""
@@ -62,24 +55,15 @@ class Made(NamedTuple):
 Mixture = Mapping[str, Mapping[str, Sequence[Made]]]
 
 
-def read_makings(layout: Layout, runs: Sequence[str]) -> dict[str, Making]:
-    """How each of these runs was made, by id.
-
-    Raises:
-        DamagedError: a configuration or provenance cannot be read.
-        UserError: a run has no configuration.
-    """
-    return {run: _read(layout.run(run)) for run in runs}
-
-
-def _read(folder: RunFolder) -> Making:
-    config, recorded = read_config(folder), made_with(folder)
+def making(store: Snapshot, run: str) -> Making:
+    """How this run was made. Raises UserError where its configuration is missing, or a file is damaged."""
+    config, recorded = store.config(run), made_with(store.provenance(run))
     facts = {VERSION: str(config["config_version"]), PRECISION: str(config["precision"])}
     facts |= {name: recorded[key] for key, name in _PACKAGES.items() if key in recorded}
     for key in (key for key in recorded if key.startswith(_ENVIRONMENT)):
         name = key.removeprefix(_ENVIRONMENT)
         facts.setdefault(TRUE_REWARD if name == "true_reward" else name, recorded[key])
-    return Making(config, facts, recorded.get(CODE))
+    return Making(config, facts, recorded.get("code"))
 
 
 def mixture(section: Section, makings: Mapping[str, Making]) -> Mixture:
@@ -88,12 +72,12 @@ def mixture(section: Section, makings: Mapping[str, Making]) -> Mixture:
     A method's precision is part of what the method is, so it is compared among the runs of one method; the true reward
     among those of one task; everything else among all.
     """
-    found: dict[str, dict[str, list[Made]]] = defaultdict(lambda: defaultdict(list))
+    values: dict[str, dict[str, list[Made]]] = defaultdict(lambda: defaultdict(list))
     for made in _runs(section):
         for fact, value in makings[made.run].facts.items():
             scope = {PRECISION: f" of {made.label.method}", TRUE_REWARD: f" of {made.label.task}"}.get(fact, "")
-            found[fact + scope][value].append(made)
-    return {fact: dict(sorted(values.items())) for fact, values in found.items() if len(values) > 1}
+            values[fact + scope][value].append(made)
+    return {fact: dict(sorted(runs.items())) for fact, runs in values.items() if len(runs) > 1}
 
 
 def told(mixed: Mixture) -> list[str]:
@@ -121,33 +105,36 @@ def remarks(section: Section, makings: Mapping[str, Making]) -> Iterator[str]:
         yield f"Methods differ in precision: {which}."
 
 
-def refuse(section: Section, mixed: Mixture, results: str | Path) -> UserError:
+def refuse(section: Section, mixed: Mixture, layout: Layout) -> UserError:
     """What to say where runs differ that should not: training anew those that this environment would make otherwise."""
-    now = {fact: _now(fact) for fact in mixed}
+    now = {fact: str(config_version()) if fact == VERSION else version(fact) for fact in mixed}
     stale = {
         fact: [made for value, runs in values.items() if value != now[fact] for made in runs]
         for fact, values in mixed.items()
-        if now[fact] is not None
+        if now[fact] is not None  # else only a run can tell
     }
-    commands = _commands(section, stale, results)
+    anew = [made for runs in stale.values() for made in runs]
+    older = not set(stale) - {VERSION}  # a run of another version is another run
+    commands = run_commands(
+        section.experiment, section.profile, section.overrides,
+        [(made.label.task, made.label.method, made.seed) for made in anew],
+        asked=[asked_by(layout.run(made.run)) for made in anew],
+        options=[] if older else ["--force"], results=layout.root,
+    )  # fmt: skip
     way = f"train anew what would be made otherwise now: `{'`, `'.join(commands)}`"
     if not commands:
         way = "which of them would be made now is not known before a run in another --results folder"
-    elif not set(stale) - {VERSION}:
+    elif older:
         way += "; the old runs are then left out"
-    where = f"{section.experiment}, profile {section.profile}"
     return UserError(
-        f"{where}: its runs do not belong in one report: {'. '.join(told(mixed))}",
+        f"{section.experiment}, profile {section.profile}: its runs do not belong in one report: "
+        f"{'. '.join(told(mixed))}",
         f"{way}; --allow-mixed reports them together and says so",
     )
 
 
 def configurations(label: Label, rows: pd.DataFrame) -> UserError | None:
-    """Why these rows of one series, all of one configuration version, cannot be averaged, if they cannot.
-
-    Args:
-        rows: as `rrmctl.store.load` returns them.
-    """
+    """Why these rows of `load`, of one series and configuration version, cannot be averaged, if they cannot."""
     cells = rows.sort_values("seed").groupby("cell", sort=False)["seed"].unique()
     if len(cells) < 2:
         return None
@@ -158,25 +145,6 @@ def configurations(label: Label, rows: pd.DataFrame) -> UserError | None:
         f"more as you did last, with all these seeds: --seeds {','.join(map(str, sorted(set(rows['seed']))))}; "
         "what was made otherwise is then left out",
     )
-
-
-def _now(fact: str) -> str | None:
-    """What a run made now would have; None where only a run can tell."""
-    if fact == VERSION:
-        return str(config_version())
-    return version(fact)
-
-
-def _commands(section: Section, stale: Mapping[str, Sequence[Made]], results: str | Path) -> list[str]:
-    """What trains these runs anew and no other."""
-    made = [each for runs in stale.values() for each in runs]
-    return run_commands(
-        section.experiment, section.profile, section.overrides,
-        [(each.label.task, each.label.method, each.seed) for each in made],
-        asked=[asked_by(Layout(Path(results)).run(each.run)) for each in made],
-        options=["--force"] if set(stale) - {VERSION} else [],  # a run of another version is another run
-        results=results,
-    )  # fmt: skip
 
 
 def _runs(section: Section) -> Iterator[Made]:

@@ -17,7 +17,7 @@ import numpy as np
 import pandas as pd
 
 from rrmctl.errors import UserError
-from rrmctl.reports.captions import short_absent_notes, title
+from rrmctl.reports.captions import absent_notes, title
 from rrmctl.reports.select import sections
 from rrmctl.reports.series import Section
 from rrmctl.reports.statistics import Statistics, Width
@@ -95,7 +95,7 @@ def sheet(
     storeyed = [any(slot.above for slot in row) for row in rows]
     heights = [tall for two in storeyed for tall in (*([_ABOVE] if two else []), height or usual)]
     width, contents = wide * across, [f"{section.contained} of {section.planned} planned runs."]
-    contents += [*short_absent_notes(section), *section.problems]
+    contents += [*absent_notes(section, short=True), *section.problems]
     if legend is None:  # methods with the number of runs behind their lines, the fewest and the most
         counts, looks = defaultdict[str, list[int]](list), section.looks()
         for method, runs in itertools.chain(*(slot.runs for slot in slots)):

@@ -45,13 +45,13 @@ def table(
     import pandas as pd
 
     module = choose(kinds(), kind, "table").load()
-    found = read_sections(results, experiment or module.EXPERIMENT, allow_mixed=allow_mixed)
-    made = module.make(of_profile(found, profile), settings)
+    sections = read_sections(results, experiment or module.EXPERIMENT, allow_mixed=allow_mixed)
+    reports = module.make(of_profile(sections, profile), settings)
     whose = ("experiment", "profile", "variant")
-    tables = [report.table.assign(**{name: report.facts[name] for name in whose}) for report in made]
-    common = set.intersection(*(set(each.columns) for each in tables))
-    for at, each in enumerate(tables):  # what some tables lack keeps its type beside them
-        wider = {name: _NULLABLE.get(str(kind)) for name, kind in each.dtypes.items() if name not in common}
-        tables[at] = each.astype({name: kind for name, kind in wider.items() if kind})
+    tables = [report.table.assign(**{name: report.facts[name] for name in whose}) for report in reports]
+    common = set.intersection(*(set(frame.columns) for frame in tables))
+    for at, frame in enumerate(tables):  # what some tables lack keeps its type beside them
+        wider = {name: _NULLABLE.get(str(kind)) for name, kind in frame.dtypes.items() if name not in common}
+        tables[at] = frame.astype({name: kind for name, kind in wider.items() if kind})
     whole = typed(pd.concat(tables, ignore_index=True))
     return whole.reindex(columns=[*whose, *(name for name in whole.columns if name not in whose)])

@@ -1,7 +1,8 @@
-"""The IQM table and the IQM curves of a section, as DataFrames.
+"""The IQM table and the IQM curves of a section, as DataFrames, and the curves' files.
 
 Values are raw here: success as a fraction, returns as they are. What must stand beside them is added where a report is
-made of them.
+made of them. `aggregates/<experiment>.parquet` holds the curves of an experiment, a row for each variant, series and
+step; profile and overrides are the variant.
 """
 
 from __future__ import annotations
@@ -14,44 +15,54 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from rrmctl.reports.series import Floats, Panel, Section, Series, Steps, at_steps
+from rrmctl.errors import UserError
+from rrmctl.reports.columns import METHOD, PLACE, QUARTILES, RUNS, SCORE, estimated
+from rrmctl.reports.report import NOTHING, Column, Row
+from rrmctl.reports.scores import score
+from rrmctl.reports.series import Panel, Section, Series, at_steps
 from rrmctl.reports.statistics import BOOTSTRAP_SEED, DEFAULTS, LEVEL, Statistics
-from rrmctl.stats import (
-    Estimate,
-    Iqm,
-    area_under_curve,
-    bootstrap,
-    estimate,
-    interval_possible,
-    iqm,
-    quartiles,
-    resample,
-)
-from rrmctl.store.frame import MAYBE_WHOLE, WHOLE, typed
+from rrmctl.stats import Estimate, Floats, Iqm, area_under_curve, estimate, interval_possible, iqm, quartiles, resample
+from rrmctl.store.files import remove_leftovers, write_table
+from rrmctl.store.frame import MAYBE_WHOLE, NUMBER, TEXT, WHOLE, frame
 
 if TYPE_CHECKING:
     import pandas as pd
 
+    from rrmctl.store.layout import Layout
+
 #: Of the curves' parquet file; raised by one when a column is added, removed, or changes its meaning.
 CURVES_VERSION = 1
-COLUMNS = (
-    "task", "teacher", "feedback", "method", "score", "step", "step_rule", "iqm", "low", "high", "q25", "q75", "n",
-    "planned", "auc", "auc_low", "auc_high",
-)  # fmt: skip
-CURVE_COLUMNS = (
-    "experiment", "variant", "profile", "task", "method", "teacher", "feedback", "step", "iqm", "q25", "q75", "low",
-    "high", "n", "iqm_kind", "schema_version",
-)  # fmt: skip
+#: With their types. Teacher and feedback are "-" where nothing is asked; low and high, the 95 % interval of the IQM,
+#: are NaN below three seeds; n counts seeds.
+CURVE_COLUMNS = {
+    "experiment": TEXT, "variant": TEXT, "profile": TEXT, "task": TEXT, "method": TEXT, "teacher": TEXT,
+    "feedback": TEXT, "step": WHOLE, "iqm": NUMBER, "q25": NUMBER, "q75": NUMBER, "low": NUMBER, "high": NUMBER,
+    "n": WHOLE, "iqm_kind": TEXT, "schema_version": WHOLE,
+}  # fmt: skip
 
 #: Stands for the task in rows that pool all tasks read by success.
 ALL_TASKS = "success tasks"
+#: Beside a step that is merely the last one, and before the note that says so.
+LAST_MARK = "*"
+
+
+def _step(row: Row) -> str:
+    if row["step_rule"] == "each":
+        return NOTHING
+    return f"{row['step']:,}" + (LAST_MARK if row["step_rule"] == "last" else "")
+
+
+#: Of the table.
+COLUMNS = (
+    *PLACE, METHOD, SCORE, Column("step", MAYBE_WHOLE, "Step", _step), Column("step_rule"),
+    *estimated("iqm", "IQM", best=True), *QUARTILES, *RUNS, *estimated("auc", "AUC", "auc_", None),
+)  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
 class Curve:
     """A series' statistics at each of its steps."""
 
-    series: Series
     iqm: Estimate  #: arrays [T]
     q25: Floats  #: [T]
     q75: Floats  #: [T]
@@ -63,69 +74,88 @@ class Curve:
 def curves(section: Section, settings: Statistics = DEFAULTS) -> Mapping[Series, Curve]:
     """The curve of every series that has a run."""
     panels = [panel for panel in section.panels() if panel.comparable()]
-    own = {each: [panel for panel in panels if each in panel.series] for each in section.series if each.n}
-    return {each: _curve(each, where, settings) for each, where in own.items()}
+    own = {series: [panel for panel in panels if series in panel.series] for series in section.series if series.n}
+    return {series: _curve(series, where, settings) for series, where in own.items()}
 
 
 def _curve(series: Series, panels: Sequence[Panel], settings: Statistics) -> Curve:
-    draws = None
+    point, draws, areas = iqm(series.values, settings.kind, axis=0), None, {}
     if interval_possible([series.n]):
         rng = np.random.default_rng(BOOTSTRAP_SEED)
         draws = resample([series.values], Iqm(settings.kind), rng=rng, replicates=settings.replicates)
-    q25, q75 = quartiles(series.values, axis=0)
-    point = iqm(series.values, settings.kind, axis=0)
-    areas = {(panel.teacher, panel.feedback): _area(series, panel.steps(), point, draws) for panel in panels}
-    return Curve(series, estimate(point, draws, n=series.n, level=LEVEL), q25, q75, areas)
-
-
-def _area(series: Series, steps: Steps, point: Floats, draws: Floats | None) -> Estimate:
-    """Under a curve [T] with its replicates [R, T], over these of its steps."""
-    where = np.searchsorted(series.steps, steps)
-    drawn = None if draws is None else area_under_curve(steps, draws[:, where])
-    return estimate(area_under_curve(steps, point[where]), drawn, n=series.n, level=LEVEL)
+    for panel in panels:
+        steps = panel.steps()
+        where = np.searchsorted(series.steps, steps)
+        drawn = None if draws is None else area_under_curve(steps, draws[:, where])
+        area = area_under_curve(steps, point[where])
+        areas[panel.teacher, panel.feedback] = estimate(area, drawn, n=series.n, level=LEVEL)
+    return Curve(estimate(point, draws, n=series.n, level=LEVEL), *quartiles(series.values, axis=0), areas)
 
 
 def curve_table(section: Section, settings: Statistics = DEFAULTS) -> pd.DataFrame:
     """The IQM curves of a section, one row per series and step: columns `CURVE_COLUMNS`."""
-    import pandas as pd
-
+    whose = (section.experiment, section.variant, section.profile)
     rows = [
-        (section.experiment, section.variant, section.profile, *series.label, int(step), *map(float, numbers), series.n)
+        (*whose, *series.label, step, *numbers, series.n, settings.kind, CURVES_VERSION)
         for series, curve in curves(section, settings).items()
         for step, *numbers in zip(
             series.steps, curve.iqm.estimate, curve.q25, curve.q75, curve.iqm.low, curve.iqm.high, strict=True
         )
     ]
-    table = pd.DataFrame(rows, columns=list(CURVE_COLUMNS[:-2]))
-    return typed(table.assign(iqm_kind=settings.kind, schema_version=CURVES_VERSION))
+    return frame(rows, CURVE_COLUMNS)
+
+
+def write_curves(layout: Layout, sections: Sequence[Section], settings: Statistics = DEFAULTS) -> None:
+    """Replace the files of all experiments in `sections`, each as a whole.
+
+    Raises:
+        UserError: some hold runs that do not belong together, which a file has no room to say; theirs stay as they are.
+        StorageError: the results folder takes no write; the old files are untouched.
+    """
+    import pandas as pd
+    import pyarrow as pa
+
+    mixed = {section.experiment for section in sections if section.mixed or section.refusal}
+    tables = [curve_table(section, settings) for section in sections if section.experiment not in mixed]
+    by_experiment = pd.concat(tables, ignore_index=True).groupby("experiment", sort=False) if tables else ()
+    kinds = {name: "string" if kind == TEXT else kind for name, kind in CURVE_COLUMNS.items()}
+    schema = pa.schema([pa.field(name, kind, nullable=False) for name, kind in kinds.items()])
+    for experiment, rows in by_experiment:
+        # from_pandas=False: a NaN stays a number and does not become a null.
+        columns = [pa.array(rows[field.name].to_numpy(), field.type, from_pandas=False) for field in schema]
+        path = layout.aggregate(str(experiment))
+        remove_leftovers(path.parent)
+        write_table(path, pa.Table.from_arrays(columns, schema=schema))
+    if mixed:
+        why = "; ".join(str(section.refusal) for section in sections if section.refusal)
+        what = f"{', '.join(sorted(mixed))}: runs that are mixed are not kept as one curve"
+        raise UserError(f"{what}: {why}" if why else what)
 
 
 def iqm_table(section: Section, settings: Statistics = DEFAULTS) -> pd.DataFrame:
     """Per task and method the IQM at the task's common step, with its interval: columns `COLUMNS`."""
-    import pandas as pd
-
-    panels, made = section.panels(), curves(section, settings)
-    rows = [row for panel in panels for row in _panel_rows(panel, made)]
-    rows += [row for group in across_tasks(panels) for row in _group_rows(group, settings)]
-    table = pd.DataFrame(rows, columns=list(COLUMNS))
-    return typed(table, {"step": MAYBE_WHOLE, "n": WHOLE, "planned": WHOLE})
+    return frame(iqm_rows(section, settings), {column.name: column.kind for column in COLUMNS})
 
 
-def _panel_rows(panel: Panel, made: Mapping[Series, Curve]) -> Iterator[dict[str, Any]]:
+def iqm_rows(section: Section, settings: Statistics) -> list[dict[str, Any]]:
+    """Its rows; what is missing is not there."""
+    panels, by_series = section.panels(), curves(section, settings)
+    rows = [row for panel in panels for row in _panel_rows(panel, by_series)]
+    return rows + [row for group in across_tasks(panels) for row in _group_rows(group, settings)]
+
+
+def _panel_rows(panel: Panel, by_series: Mapping[Series, Curve]) -> Iterator[dict[str, Any]]:
     read = panel.read_at()
     rule = "final" if panel.score == "return" else "first" if read.reached else "last"
     for series in panel.series:
-        row: dict[str, Any] = {
-            "task": panel.task, "teacher": panel.teacher, "feedback": panel.feedback, "method": series.label.method,
-            "score": panel.score, "step": read.step, "step_rule": rule, "n": series.n, "planned": series.planned,
-        }  # fmt: skip
-        if series in made:
-            curve = made[series]
+        row = panel.row(series) | {"step": read.step, "step_rule": rule}
+        if series in by_series:
+            curve = by_series[series]
             at, area = int(np.searchsorted(series.steps, read.step)), curve.areas[panel.teacher, panel.feedback]
-            row |= {"iqm": curve.iqm.estimate[at], "low": curve.iqm.low[at], "high": curve.iqm.high[at]}
-            row |= {"q25": curve.q25[at], "q75": curve.q75[at]}
-            row |= {"auc": area.estimate, "auc_low": area.low, "auc_high": area.high}
-        yield {key: float(value) if isinstance(value, np.ndarray) else value for key, value in row.items()}
+            here = {"iqm": curve.iqm.estimate, "low": curve.iqm.low, "high": curve.iqm.high}
+            row |= {name: float(values[at]) for name, values in (here | {"q25": curve.q25, "q75": curve.q75}).items()}
+            row |= area.row("auc", "auc_")
+        yield row
 
 
 def across_tasks(panels: Sequence[Panel]) -> list[list[Panel]]:
@@ -145,23 +175,15 @@ def across_tasks(panels: Sequence[Panel]) -> list[list[Panel]]:
 def _group_rows(group: Sequence[Panel], settings: Statistics) -> Iterator[dict[str, Any]]:
     """A row for every method that has runs on all tasks of the group, each task read at its own common step."""
     by_task = [{series.label.method: series for series in panel.present()} for panel in group]
-    teachers, schedules = {panel.teacher for panel in group}, {panel.feedback for panel in group}
-    for method in (name for name in by_task[0] if all(name in found for found in by_task)):
-        series = [found[method] for found in by_task]
-        scores = [
-            at_steps(each, np.array([panel.read_at().step]))[:, 0] for each, panel in zip(series, group, strict=True)
-        ]
-        rng = np.random.default_rng(BOOTSTRAP_SEED)
-        found = bootstrap(scores, Iqm(settings.kind), rng=rng, replicates=settings.replicates, level=LEVEL)
+    named = ({panel.teacher for panel in group}, "several"), ({panel.feedback for panel in group}, "each task's")
+    teacher, feedback = (names.pop() if len(names) == 1 else otherwise for names, otherwise in named)
+    for method in (name for name in by_task[0] if all(name in methods for methods in by_task)):
+        series = [methods[method] for methods in by_task]
+        scores = [at_steps(one, [panel.read_at().step]) for one, panel in zip(series, group, strict=True)]
         q25, q75 = quartiles(np.concatenate(scores))
         yield {
-            "task": ALL_TASKS, "teacher": _only(teachers, "several"), "method": method,
-            "feedback": _only(schedules, "each task's"), "score": "success",
-            "step": None, "step_rule": "each", "iqm": float(found.estimate), "low": float(found.low),
-            "high": float(found.high), "q25": float(q25), "q75": float(q75), "n": found.n,
-            "planned": sum(each.planned for each in series),
+            "task": ALL_TASKS, "teacher": teacher, "feedback": feedback, "method": method, "score": "success",
+            "step_rule": "each", "q25": float(q25), "q75": float(q75), "n": sum(one.n for one in series),
+            "planned": sum(one.planned for one in series),
+            **score(scores, settings, pooled=True).estimate().row("iqm"),
         }  # fmt: skip
-
-
-def _only(names: set[str], otherwise: str) -> str:
-    return next(iter(names)) if len(names) == 1 else otherwise

@@ -16,12 +16,9 @@ import numpy as np
 from rrm.envs.tasks import ScoreKind
 from rrmctl.errors import UserError
 from rrmctl.labels import NOTHING_ASKED, Label, panels
-from rrmctl.reports.series import SCORE_COLUMN, Floats, Section, Series
-from rrmctl.stats import Comparison, Design, Standing, area_under_curve, sequential_test
+from rrmctl.reports.series import SCORE_COLUMN, Section, Series
+from rrmctl.stats import Comparison, Design, Floats, Standing, area_under_curve, sequential_test
 from rrmctl.store.trials import Pairing, Trial
-
-#: The number of each run, by seed.
-Scores = dict[int, float]
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,18 +38,18 @@ class Contests:
     """All comparisons that share one level."""
 
     design: Design
-    contests: tuple[Contest, ...]
+    all: tuple[Contest, ...]
 
     @property
     def remaining(self) -> Design:
         """The design of a comparison that is not separated, with the share of the level that is left for it."""
-        left = sum(not each.verdict.separated for each in self.contests)
+        left = sum(not contest.verdict.separated for contest in self.all)
         return replace(self.design, alpha=self.design.alpha / max(1, left))
 
     @property
     def open(self) -> list[Contest]:
         """Those that more seeds decide."""
-        return [each for each in self.contests if each.verdict.decision == "open"]
+        return [contest for contest in self.all if contest.verdict.decision == "open"]
 
 
 def every_pair(labels: Iterable[Label]) -> list[Pairing]:
@@ -62,20 +59,16 @@ def every_pair(labels: Iterable[Label]) -> list[Pairing]:
 
 
 def against(labels: Iterable[Label], method: str | None) -> list[Pairing]:
-    """Each method of each panel against one; None takes the first.
-
-    Raises:
-        UserError: a panel lacks the method, or has no other.
-    """
-    found = []
+    """Each method of each panel against one (None: the first); refused where a panel lacks it, or has no other."""
+    pairs = []
     for panel in panels(labels).values():
-        known = {each.method: each for each in panel}
+        methods = {label.method: label for label in panel}
         one = method or panel[0].method
-        if one not in known or len(known) < 2:
-            what = f"there is no {one}" if one not in known else f"{one} is the only method"
-            raise UserError(f"{panel[0].task}: {what}, so nothing is compared", f"it has: {', '.join(known)}")
-        found += [_pair(other, known[one]) for other in panel if other.method != one]
-    return list(dict.fromkeys(found))
+        if one not in methods or len(methods) < 2:
+            what = f"there is no {one}" if one not in methods else f"{one} is the only method"
+            raise UserError(f"{panel[0].task}: {what}, so nothing is compared", f"it has: {', '.join(methods)}")
+        pairs += [_pair(other, methods[one]) for other in panel if other.method != one]
+    return list(dict.fromkeys(pairs))
 
 
 def decide(section: Section, trial: Trial | None, *, seeds: Collection[int] | None = None) -> Contests:
@@ -87,26 +80,29 @@ def decide(section: Section, trial: Trial | None, *, seeds: Collection[int] | No
             planned, but no fewer than four.
         seeds: look at these alone; None looks at all.
     """
-    pairs = every_pair(series.label for series in section.series) if trial is None else trial.pairs
     if trial is None:
-        usual = Design()
-        planned = max((each.planned for each in section.series), default=0)
-        design = Design(looks=max(usual.looks, -(-planned // usual.group)))
+        pairs, usual = every_pair(series.label for series in section.series), Design()
+        most = max((series.planned for series in section.series), default=0)
+        design = Design(looks=max(usual.looks, -(-most // usual.group)))
     else:
-        design = Design(group=trial.group, looks=trial.looks, alpha=trial.alpha)
-    known = {series.label: _scores(series, seeds) for series in section.series}
-    labels = [(_labelled(known, pair, pair.method), _labelled(known, pair, pair.against)) for pair in pairs]
-    scores = [(known.get(one, {}), known.get(other, {})) for one, other in labels]
-    scores = [each if all(each) else ({}, {}) for each in scores]  # nothing is said of one alone
-    tested = [_in_order(section, two, *each, seeds=seeds) for two, each in zip(labels, scores, strict=True)]
+        pairs, design = list(trial.pairs), Design(group=trial.group, looks=trial.looks, alpha=trial.alpha)
+    by_label = {series.label: _scores(series, seeds) for series in section.series}
     kinds = {series.label.task: series.score for series in section.series}
-    contests = [
-        Contest(pair, kinds.get(pair.task, "success"), _array(ours), _array(theirs), comparison, verdict)
-        for pair, (ours, theirs), comparison, verdict in zip(
-            pairs, scores, tested, sequential_test(tested, design), strict=True
-        )
-    ]
-    return Contests(design, tuple(contests))
+    sides = []
+    for pair in pairs:
+        asking = [Label(pair.task, method, pair.teacher, pair.feedback) for method in (pair.method, pair.against)]
+        labels = [label if label in by_label else Label(label.task, label.method) for label in asking]
+        scores = [by_label.get(label, {}) for label in labels]
+        if not all(scores):  # nothing is said of one alone
+            scores = [{}, {}]
+        planned = {absent.seed for absent in section.absent if absent.label in labels}
+        planned |= {seed for series in section.series if series.label in labels for seed in series.seeds}
+        order = sorted(planned if seeds is None else planned.intersection(seeds))
+        tested = Comparison(*([own[seed] for seed in takewhile(own.__contains__, order)] for own in scores))
+        ours, theirs = (np.array(list(own.values())) for own in scores)
+        sides.append((pair, kinds.get(pair.task, "success"), ours, theirs, tested))
+    verdicts = sequential_test([tested for *_, tested in sides], design)
+    return Contests(design, tuple(Contest(*side, verdict) for side, verdict in zip(sides, verdicts, strict=True)))
 
 
 def without_score(series: Series) -> list[str]:
@@ -121,38 +117,18 @@ def without_score(series: Series) -> list[str]:
 
 def _pair(method: Label, other: Label) -> Pairing:
     """Of two labels of a panel; its teacher and feedback are those of the one that asks."""
-    asked = other if method.teacher == NOTHING_ASKED else method
-    return Pairing(asked.task, asked.teacher, asked.feedback, method.method, other.method)
+    asking = other if method.teacher == NOTHING_ASKED else method
+    return Pairing(asking.task, asking.teacher, asking.feedback, method.method, other.method)
 
 
-def _scores(series: Series, seeds: Collection[int] | None) -> Scores:
-    """The number of each finished run, of its own evaluations alone; none where one of them is not a number."""
+def _scores(series: Series, seeds: Collection[int] | None) -> dict[int, float]:
+    """The number of each finished run by its seed, of its own evaluations alone; none where one is not a number."""
     if not series.finished:
         return {}
-    found = {}
+    scores = {}
     for seed in sorted(set(series.rows["seed"].tolist()) if seeds is None else seeds):
         own = series.rows[series.rows["seed"] == seed].sort_values("step")
         values = own[SCORE_COLUMN[series.score]].to_numpy(dtype=np.float64)
         if values.size and np.isfinite(values).all():
-            found[seed] = float(area_under_curve(own["step"], values))
-    return found
-
-
-def _labelled(known: Collection[Label], pair: Pairing, method: str) -> Label:
-    """What a method of a pair is called in its section, whether it asks or not."""
-    asking = Label(pair.task, method, pair.teacher, pair.feedback)
-    return asking if asking in known else Label(pair.task, method)
-
-
-def _in_order(
-    section: Section, labels: Collection[Label], ours: Scores, theirs: Scores, *, seeds: Collection[int] | None
-) -> Comparison:
-    """The scores in the order of the seeds that were planned for either method, up to the first missing one of each."""
-    planned = {each.seed for each in section.absent if each.label in labels}
-    planned |= {seed for each in section.series if each.label in labels for seed in each.seeds}
-    order = sorted(planned if seeds is None else planned.intersection(seeds))
-    return Comparison(*([each[seed] for seed in takewhile(each.__contains__, order)] for each in (ours, theirs)))
-
-
-def _array(scores: Scores) -> Floats:
-    return np.array(list(scores.values()))
+            scores[seed] = float(area_under_curve(own["step"], values))
+    return scores

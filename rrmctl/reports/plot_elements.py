@@ -13,9 +13,9 @@ from rrm.envs.tasks import ScoreKind
 from rrmctl.labels import ORACLE
 from rrmctl.reports.figure_layout import Axes, Slot
 from rrmctl.reports.iqm_curves import ALL_TASKS, across_tasks
-from rrmctl.reports.series import Floats, Panel, Section, Series, Steps
+from rrmctl.reports.series import Panel, Section, Series
 from rrmctl.reports.styles import Looks, Style
-from rrmctl.stats import CommonStep, IqmKind, iqm, quartiles
+from rrmctl.stats import CommonStep, Floats, IqmKind, Steps, common_step, iqm, quartiles
 
 UNITS = {"success": "Success rate (%)", "return": "Return (true reward)"}
 
@@ -135,5 +135,4 @@ def readings(section: Section, rule: Callable[[Panel], CommonStep]) -> list[Fina
 
 def last_step(panel: Panel) -> CommonStep:
     """The last step that is common to the methods of a panel."""
-    steps = panel.steps()
-    return CommonStep(index=steps.size - 1, step=int(steps[-1]), reached=False, by=())
+    return common_step(panel.steps(), {})

@@ -30,34 +30,18 @@ class Entry:
         return importlib.import_module(self.path)
 
 
-def entries(folder: str, package: str) -> dict[str, Entry]:
-    """The modules of a package in order of their names, by name; those with an underscore in front are not commands.
-
-    Args:
-        folder: of the package, or its `__file__`.
-        package: its dotted name.
-    """
-    found = {}
-    for path in sorted(Path(folder).parent.glob("[!_]*.py")):
-        name = path.stem.replace("_", "-")
-        module = ast.parse(path.read_bytes())
-        found[name] = Entry(name, ast.get_docstring(module) or "", f"{package}.{path.stem}", _options(module))
-    return found
+def entries(file: str, package: str) -> dict[str, Entry]:
+    """The modules of a package beside its `__file__`, by name; those with an underscore in front are not commands."""
+    shelf = {}
+    for path in sorted(Path(file).parent.glob("[!_]*.py")):
+        name, module = path.stem.replace("_", "-"), ast.parse(path.read_bytes())
+        literals = {ast.unparse(node.targets[0]): node.value for node in module.body if isinstance(node, ast.Assign)}
+        options = tuple(ast.literal_eval(literals["OPTIONS"])) if "OPTIONS" in literals else ()
+        shelf[name] = Entry(name, ast.get_docstring(module) or "", f"{package}.{path.stem}", options)
+    return shelf
 
 
 def choose(shelf: Mapping[str, Entry], name: str, kind: str) -> Entry:
-    """The entry of this name.
-
-    Raises:
-        UserError: there is none; with the nearest that there is.
-    """
+    """The entry of this name; where there is none, the error names the nearest that there is."""
     check_known(name, shelf, f'there is no {kind} "{name}"', "there are")
     return shelf[name]
-
-
-def _options(module: ast.Module) -> tuple[str, ...]:
-    """The literal that a module gives the name OPTIONS."""
-    for node in module.body:
-        if isinstance(node, ast.Assign) and [ast.unparse(target) for target in node.targets] == ["OPTIONS"]:
-            return tuple(ast.literal_eval(node.value))
-    return ()

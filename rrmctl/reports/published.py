@@ -2,22 +2,13 @@
 
 from __future__ import annotations
 
+import math
 import tomllib
 from dataclasses import dataclass
-from functools import cache
 from pathlib import Path
-from typing import Any
 
 PATH = Path(__file__).with_suffix(".toml")
-NAN = float("nan")
-
-
-@dataclass(frozen=True)
-class Final:
-    """A published success at the end of training."""
-
-    success: float  #: fraction
-    half: float  #: half the width of its 95 % interval, a fraction
+_VALUES = tomllib.loads(PATH.read_text(encoding="utf-8"))
 
 
 @dataclass(frozen=True)
@@ -32,29 +23,27 @@ class Checkpoint:
 
 def source(table: str) -> str:
     """Where in the paper a table stands."""
-    return str(_file()[table]["source"])
+    return str(_VALUES[table]["source"])
 
 
-def final(task: str, teacher: str, method: str) -> Final | None:
-    """What the paper's table of noisy teachers says of a method; None where it says nothing."""
-    values = _file()["noisy-teacher"].get(task, {}).get(teacher, {}).get(method)
-    return None if values is None else Final(values[0] / 100, values[1] / 100)
+def final(task: str, teacher: str, method: str) -> tuple[float, float]:
+    """What the paper's table of noisy teachers says of a method: success at the end, and half its 95 % interval.
+
+    Both are fractions, NaN where it says nothing.
+    """
+    success, half = _VALUES["noisy-teacher"].get(task, {}).get(teacher, {}).get(method, (math.nan, math.nan))
+    return success / 100, half / 100
 
 
 def deployed_tasks() -> list[str]:
     """The tasks of the paper's table of the physical robot, in its order."""
-    return [name for name, value in _file()["sim-to-real"].items() if isinstance(value, dict)]
+    return [name for name, value in _VALUES["sim-to-real"].items() if isinstance(value, dict)]
 
 
 def checkpoints(task: str, method: str) -> list[Checkpoint]:
     """The checkpoints of a task in that table, with NaN as values where it says nothing of the method."""
-    table = _file()["sim-to-real"][task]
-    steps = table["steps"]
-    told = table.get(method) or {name: [NAN] * len(steps) for name in ("success", "return")}
-    values = zip(steps, told["success"], told["return"], strict=True)
-    return [Checkpoint(step, step / table["length"], success / 100, each) for step, success, each in values]
-
-
-@cache
-def _file() -> dict[str, Any]:
-    return tomllib.loads(PATH.read_text(encoding="utf-8"))
+    table = _VALUES["sim-to-real"][task]
+    steps, missing = table["steps"], [math.nan] * len(table["steps"])
+    own = table.get(method, {"success": missing, "return": missing})
+    values = zip(steps, own["success"], own["return"], strict=True)
+    return [Checkpoint(step, step / table["length"], success / 100, value) for step, success, value in values]

@@ -10,14 +10,13 @@ from __future__ import annotations
 import io
 import json
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from typing import TYPE_CHECKING, Any
+from functools import partial
+from typing import TYPE_CHECKING
 
 from rrmctl.terminal import console
 
 if TYPE_CHECKING:
-    import pandas as pd
     from rich.console import Console
-    from rich.text import Text
 
     from rrmctl.reports.report import Grid, Report
 
@@ -43,9 +42,8 @@ def print_terminal(reports: Sequence[Report], console: Console) -> None:
             whole = not text and console.width >= _USUAL
             table.add_column(name, justify="left" if text else "right", overflow="fold", no_wrap=whole)
         for at, (row, last) in enumerate(zip(grid.named_once(), grid.ends(), strict=True)):
-            table.add_row(
-                *[_emphasised(cell, (at, column) in grid.best) for column, cell in enumerate(row)], end_section=last
-            )
+            styles = ["bold" if (at, column) in grid.best else "" for column in range(len(row))]
+            table.add_row(*map(Text, row, styles), end_section=last)
         console.print(Text(report.title, style="bold"))
         if grid.rows:
             console.print(table)
@@ -54,12 +52,6 @@ def print_terminal(reports: Sequence[Report], console: Console) -> None:
         console.print()
     if any(report.grid.rows for report in reports):
         console.print(Text("Columns, intervals and bold: rrmctl report explain", style="dim"))
-
-
-def _emphasised(text: str, best: bool) -> Text:
-    from rich.text import Text
-
-    return Text(text, style="bold" if best else "")
 
 
 def to_text(reports: Sequence[Report], form: str) -> str:
@@ -93,15 +85,13 @@ def _cells(grid: Grid, rows: Sequence[Sequence[str]], escape: Callable[[str], st
         yield [bold.format(cell) if (at, column) in grid.best else cell for column, cell in cells]
 
 
-def _cell(text: str) -> str:
-    return _escape(text, "\\|*_")
-
-
 def _escape(text: str, signs: str) -> str:
     for sign in signs:
         text = text.replace(sign, f"\\{sign}")
     return text
 
+
+_cell = partial(_escape, signs="\\|*_")
 
 _TEX = {
     "\\": r"\textbackslash{}", "&": r"\&", "%": r"\%", "$": r"\$", "#": r"\#", "_": r"\_", "{": r"\{", "}": r"\}",
@@ -126,48 +116,35 @@ def _latex(reports: Sequence[Report]) -> str:
 
 
 def _latex_lines(report: Report) -> Iterator[str]:
+    grid, caption, notes = report.grid, _tex(report.title), _tex(" ".join(report.notes))
     yield f"% {json.dumps(report.facts, sort_keys=True)}"
-    notes = _tex(" ".join(report.notes))
-    if not report.grid.rows:
-        yield from (rf"\paragraph{{{_tex(report.title)}}}", notes)
-    elif len(report.grid.rows) > _FLOATING:
-        yield from _long_table(report)
+    if not grid.rows:
+        yield from (rf"\paragraph{{{caption}}}", notes)
+        return
+    long = len(grid.rows) > _FLOATING
+    words = _folding(grid) if long else "l" * grid.words
+    alignment = words + "r" * (len(grid.header) - grid.words)
+    head = (r"\toprule", _latex_row(map(_tex, grid.header)), r"\midrule")
+    cells = _cells(grid, grid.named_once(), _tex, r"\textbf{{{}}}")
+    parted = ((_latex_row(row), *([r"\midrule"] if last else [])) for row, last in zip(cells, grid.ends(), strict=True))
+    body = [line for lines in parted for line in lines]
+    if long:
+        yield r"{\scriptsize\setlength{\tabcolsep}{2pt}"
+        yield from (rf"\begin{{longtable}}{{{alignment}}}", rf"\caption{{{caption}}}\\")
+        yield from (*head, r"\endhead", *body, r"\bottomrule", r"\end{longtable}}")
         yield from [rf"{{\footnotesize {notes}\par}}"] if notes else []
     else:
-        yield from (r"\begin{table}", r"\centering", rf"\caption{{{_tex(report.title)}}}")
+        yield from (r"\begin{table}", r"\centering", rf"\caption{{{caption}}}")
         yield r"\resizebox{\ifdim\width>\textwidth\textwidth\else\width\fi}{!}{%"
-        yield from _tabular(report.grid)
+        yield from (rf"\begin{{tabular}}{{{alignment}}}", *head, *body, r"\bottomrule", r"\end{tabular}")
         yield from ("}", *((r"\par\smallskip\footnotesize", notes) if notes else ()), r"\end{table}")
 
 
-def _tabular(grid: Grid) -> Iterator[str]:
-    alignment = "".join("l" if column < grid.words else "r" for column in range(len(grid.header)))
-    yield from (rf"\begin{{tabular}}{{{alignment}}}", r"\toprule", _latex_row(map(_tex, grid.header)), r"\midrule")
-    yield from _latex_body(grid)
-    yield from (r"\bottomrule", r"\end{tabular}")
-
-
-def _long_table(report: Report) -> Iterator[str]:
-    """Over several pages, with names that are broken into lines."""
-    grid = report.grid
+def _folding(grid: Grid) -> str:
+    """The alignment of names in a table over several pages: long ones are broken into lines."""
     longest = [max(len(row[column]) for row in grid.rows) for column in range(grid.words)]
     weights = [min(max(length, _WEIGHTS[0]), _WEIGHTS[1]) if length > _LETTERS else 0 for length in longest]
-    columns = [rf"p{{{_FOLDED * w / sum(weights):.3f}\textwidth}}" if w else "l" for w in weights]
-    alignment = "".join(columns) + "r" * (len(grid.header) - grid.words)
-    yield r"{\scriptsize\setlength{\tabcolsep}{2pt}"
-    yield rf"\begin{{longtable}}{{{alignment}}}"
-    yield rf"\caption{{{_tex(report.title)}}}\\"
-    yield from (r"\toprule", _latex_row(map(_tex, grid.header)), r"\midrule", r"\endhead")
-    yield from _latex_body(grid)
-    yield from (r"\bottomrule", r"\end{longtable}}")
-
-
-def _latex_body(grid: Grid) -> Iterator[str]:
-    body = _cells(grid, grid.named_once(), _tex, r"\textbf{{{}}}")
-    for row, last in zip(body, grid.ends(), strict=True):
-        yield _latex_row(row)
-        if last:
-            yield r"\midrule"
+    return "".join(rf"p{{{_FOLDED * w / sum(weights):.3f}\textwidth}}" if w else "l" for w in weights)
 
 
 def _latex_row(cells: Iterable[str]) -> str:
@@ -188,7 +165,10 @@ def _csv(reports: Sequence[Report]) -> str:
     plain = ("experiment", "profile", "variant")
     tables = []
     for report in reports:
-        facts = {key: value if _is_plain(value) else json.dumps(value) for key, value in report.facts.items()}
+        facts = {
+            key: value if isinstance(value, str | int | float) else json.dumps(value)
+            for key, value in report.facts.items()
+        }
         rest = {key: value for key, value in facts.items() if key not in plain}
         rows = report.table if len(report.table.columns) else pd.DataFrame(index=[0])
         table = rows.assign(**facts, schema_version=TEXT_VERSION)
@@ -197,29 +177,16 @@ def _csv(reports: Sequence[Report]) -> str:
     return text
 
 
-def _is_plain(value: Any) -> bool:
-    return isinstance(value, str | int | float)
-
-
 def _json(reports: Sequence[Report]) -> str:
-    document = [
-        report.facts | {"title": report.title, "notes": list(report.notes), "rows": _rows(report.table)}
-        for report in reports
-    ]
+    document = []
+    for report in reports:
+        table = report.table.astype(object).where(report.table.notna(), None)  # null where there is none
+        notes = {"title": report.title, "notes": list(report.notes)}
+        document.append(report.facts | notes | {"rows": table.to_dict("records")})
     whole = {"schema_version": TEXT_VERSION, "reports": document}
     return json.dumps(whole, indent=1, allow_nan=False, ensure_ascii=False) + "\n"
 
 
-def _rows(table: pd.DataFrame) -> list[dict[str, Any]]:
-    """Rows of plain values; null where there is none."""
-    whole = table.astype(object).where(table.notna(), None)
-    return [{str(key): value for key, value in row.items()} for row in whole.to_dict("records")]
-
-
 FORMATS: dict[str, Callable[[Sequence[Report]], str]] = {
-    "terminal": _terminal,
-    "markdown": _markdown,
-    "csv": _csv,
-    "latex": _latex,
-    "json": _json,
-}
+    "terminal": _terminal, "markdown": _markdown, "csv": _csv, "latex": _latex, "json": _json,
+}  # fmt: skip

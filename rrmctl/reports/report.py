@@ -4,28 +4,30 @@ from __future__ import annotations
 
 import math
 from collections import defaultdict
-from collections.abc import Hashable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import takewhile
 from typing import TYPE_CHECKING, Any
 
 from rrmctl.errors import UserError
 from rrmctl.labels import knows
-from rrmctl.reports.statistics import SURE
-from rrmctl.stats import MIN_RUNS
+from rrmctl.reports.captions import contents_notes, facts, statistics_notes, title
+from rrmctl.reports.statistics import Statistics
+from rrmctl.store.frame import TEXT, frame
 
 if TYPE_CHECKING:
     import pandas as pd
 
-    from rrm.envs.tasks import ScoreKind
     from rrmctl.reports.series import Section
 
 #: Stands where there is nothing to say.
 NOTHING = "–"
-#: Heading of the intervals of the estimates beside them.
-INTERVAL = f"{SURE} interval"
 
 #: Row and column.
 Cell = tuple[int, int]
+
+#: A row of a table: raw values by the name of their column; what is missing is not there, or NaN.
+Row = Mapping[str, Any]
 
 
 class NoDataError(UserError):
@@ -45,9 +47,18 @@ class Grid:
         assert all(len(row) == len(self.header) for row in self.rows)
 
     @classmethod
-    def of(cls, columns: dict[str, Sequence[str]], *, words: int, best: frozenset[Cell] = frozenset()) -> Grid:
-        """From columns of text, by heading."""
-        return cls(tuple(columns), tuple(zip(*columns.values(), strict=True)), words, best)
+    def of(cls, columns: Sequence[Column], rows: Sequence[Row]) -> Grid:
+        """What people see of these columns."""
+        shown = [column for column in columns if column.heading and column.tells(rows)]
+        words = len(list(takewhile(lambda column: column.kind == TEXT, shown)))
+        entries = (
+            ((at, place), (place, *(row[name] for name in column.best)), row[column.name])
+            for place, column in enumerate(shown)
+            for at, row in enumerate(rows)
+            if column.best and not knows(row["method"])
+        )
+        cells = tuple(tuple(column.text(row) for column in shown) for row in rows)
+        return cls(tuple(str(column.heading) for column in shown), cells, words, highest(entries))
 
     def ends(self) -> list[bool]:
         """For each row, whether it is the last of those that share its first column and another group follows."""
@@ -61,23 +72,8 @@ class Grid:
         return [row if begins[at] else ("", *row[1:]) for at, row in enumerate(self.rows)]
 
 
-def tells_apart(table: pd.DataFrame, name: str, within: Sequence[str] = ("task",)) -> bool:
-    """Whether a column tells rows of equal `within` from one another."""
-    return bool((table.groupby(list(within))[name].nunique() > 1).any())
-
-
-def place_columns(table: pd.DataFrame) -> dict[str, Sequence[str]]:
-    """The task of each row, and its teacher and schedule of feedback where some task has several, by heading."""
-    names = ["task", *(name for name in ("teacher", "feedback") if tells_apart(table, name))]
-    return {name.capitalize(): list(table[name]) for name in names}
-
-
 def highest(entries: Iterable[tuple[Cell, Hashable, float]]) -> frozenset[Cell]:
-    """The cells with the greatest number of their group; equals all count, NaN never does.
-
-    Args:
-        entries: cells, the group in which each is compared, and its number.
-    """
+    """The cells with the greatest number of their group, from (cell, group, number); equals all count, NaN never."""
     groups: dict[Hashable, dict[Cell, float]] = defaultdict(dict)
     for cell, group, value in entries:
         if not math.isnan(value):
@@ -86,18 +82,27 @@ def highest(entries: Iterable[tuple[Cell, Hashable, float]]) -> frozenset[Cell]:
     return frozenset(c for group, top in tops for c, v in group.items() if math.isclose(v, top, abs_tol=1e-12))
 
 
-def best_methods(table: pd.DataFrame, value: str, by: Sequence[str], column: int) -> frozenset[Cell]:
-    """The cells of the best methods of a table with a row for each, the oracle and its variants outside it.
+@dataclass(frozen=True)
+class Column:
+    """A column of a table, as programs and as people read it."""
 
-    Args:
-        table: with a column `method`.
-        value: the column to compare.
-        by: the columns that tell one comparison from another.
-        column: of the grid.
-    """
-    groups = table[list(by)].itertuples(index=False, name=None)
-    rows = enumerate(zip(groups, table["method"], table[value], strict=True))
-    return highest(((at, column), group, number) for at, (group, method, number) in rows if not knows(method))
+    name: str  #: of its values in the rows
+    kind: str = TEXT  #: their type, of `rrmctl.store.frame`
+    heading: str | None = None  #: of their text; None: people do not see them
+    show: Callable[[Row], str] | None = None  #: the text in a row; None: the value itself
+    apart: Sequence[str] | None = None  #: people see it only where it tells rows apart that are equal in these columns
+    best: Sequence[str] = ()  #: its highest value among rows that are equal in these is bold, the oracle's aside
+
+    def text(self, row: Row) -> str:
+        """Its cell for people."""
+        return str(row[self.name]) if self.show is None else self.show(row)
+
+    def tells(self, rows: Iterable[Row]) -> bool:
+        """Whether it says anything to people of these rows."""
+        if self.apart is None:
+            return True
+        keys = [tuple(row[name] for name in self.apart) for row in rows]
+        return len({(key, row[self.name]) for key, row in zip(keys, rows, strict=True)}) > len(set(keys))
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,58 +116,39 @@ class Report:
     facts: dict[str, Any]  #: what the notes say, in JSON values; experiment, profile and variant among them
 
 
-def counts(rows: Iterable[Mapping[Any, Any]]) -> str:
-    """Runs of those planned, of each of several rows in one cell; once where all have equally many."""
-    return ", ".join(dict.fromkeys(f"{row['n']}/{row['planned']}" for row in rows))
+def section_report(
+    section: Section,
+    settings: Statistics,
+    columns: Sequence[Column],
+    rows: Iterable[Row],
+    *,
+    grid: Callable[[list[Row]], Grid] | None = None,
+    notes: Iterable[str] = (),
+    **more: Any,
+) -> Report:
+    """The report of one section.
+
+    Args:
+        grid: the table for people, where it is not the columns that have a heading.
+        notes: what is particular to it beside what it contains and how it was made.
+        more: facts beside those of every table.
+    """
+    table, whole = tabled(columns, rows)
+    words = (*contents_notes(section), *notes, *statistics_notes(section, settings))
+    text = Grid.of(columns, whole) if grid is None else grid(whole)
+    return Report(title(section), table, text, words, facts(section, settings) | more)
+
+
+def tabled(columns: Sequence[Column], rows: Iterable[Row]) -> tuple[pd.DataFrame, list[Row]]:
+    """The values of these columns as a frame, and the rows with NaN for what is missing."""
+    kinds = {column.name: column.kind for column in columns}
+    whole: list[Row] = [dict.fromkeys(kinds, math.nan) | dict(row) for row in rows]
+    return frame(whole, kinds), whole
 
 
 def some(reports: list[Report], sections: Sequence[Section], lacking: str, hint: str) -> list[Report]:
-    """The reports of a kind, if there are any.
-
-    Args:
-        sections: that were asked about.
-        lacking: what they have none of.
-        hint: what to do about that.
-
-    Raises:
-        NoDataError: there is none.
-    """
+    """The reports of a kind; without any, a `NoDataError` that says what the sections lack and what to do."""
     if not reports:
         names = ", ".join(dict.fromkeys(section.experiment for section in sections))
         raise NoDataError(f"{names}: {lacking}", hint)
     return reports
-
-
-def number(value: float, score: ScoreKind) -> str:
-    """Success as percent, a return with what digits it needs."""
-    if math.isnan(value):
-        return NOTHING
-    if score == "success":
-        return f"{100 * value:.1f} %"
-    return f"{value:.{0 if abs(value) >= 1000 else 1 if abs(value) >= 100 else 2}f}"
-
-
-def spread(low: float, high: float, score: ScoreKind, form: str = "[{}, {}]") -> str:
-    """Two numbers in one cell; the sign for percent stands in the column of the estimate."""
-    if math.isnan(low):
-        return NOTHING
-    return form.format(*(number(end, score).removesuffix(" %") for end in (low, high)))
-
-
-def interval(low: float, high: float, score: ScoreKind, n: int) -> str:
-    """An interval as [low, high], or why there is none.
-
-    Args:
-        n: runs behind it; of several tasks in all, each of which needs as many as one.
-    """
-    if n > 0 and math.isnan(low):
-        return f"n < {MIN_RUNS}" + (" on a task" if n >= MIN_RUNS else "")
-    return spread(low, high, score)
-
-
-def plus_minus(value: float, half: float, score: ScoreKind) -> str:
-    """The paper's form: a value and half the width of its interval, in percent for success; the value where none is."""
-    if math.isnan(value):
-        return NOTHING
-    middle = number(value, score).removesuffix(" %")
-    return middle if math.isnan(half) else f"{middle} ± {number(half, score).removesuffix(' %')}"

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import json
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING, Any
 
 from rrmctl.labels import Label
-from rrmctl.store.frame import NUMBER, TEXT, WHOLE, frame
-from rrmctl.store.inventory import Run, settings
+from rrmctl.store.frame import NUMBER, TEXT, WHOLE, frame, typed
+from rrmctl.store.records import settings
+from rrmctl.store.snapshot import Run
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -23,11 +24,7 @@ _IDENTITY = ("id", "cell", "seed", "task", "method", "profile")
 #: Of a provenance, what can change a number.
 _MAKING = ("code", "python", "platform", "cpu", "host", "precision", "threads", "versions", "fingerprint")
 
-_SPENDING = {
-    **dict.fromkeys(GROUP, TEXT),
-    **dict.fromkeys(("runs", "done", "steps", "queries", "labels"), WHOLE),
-    **dict.fromkeys(("wall_s", "steps_per_s"), NUMBER),
-}
+_SPENT = dict.fromkeys(("runs", "done", "steps", "queries", "labels"), WHOLE) | {"wall_s": NUMBER}
 
 
 def spending(runs: Iterable[Run]) -> pd.DataFrame:
@@ -37,29 +34,28 @@ def spending(runs: Iterable[Run]) -> pd.DataFrame:
         Columns `task, method, teacher, feedback, runs, done, steps` (environment steps), `queries, labels`, `wall_s`
         (training time, seconds) and `steps_per_s`; queries, labels and time as of the last evaluations.
     """
-    groups: dict[tuple[str, ...], list[Run]] = {}
-    for run in runs:
-        groups.setdefault(tuple(run.plan[name] for name in GROUP), []).append(run)
-    return frame(((*group, *_spent(members)) for group, members in groups.items()), _SPENDING)
+    spent = frame(((*run.row, *_spent(run)) for run in runs), dict.fromkeys(GROUP, TEXT) | _SPENT)
+    table = spent.groupby(list(GROUP), sort=False, as_index=False).sum()
+    return typed(table.assign(steps_per_s=table["steps"] / table["wall_s"]), {"steps_per_s": NUMBER})
 
 
 def total(runs: Iterable[Run]) -> dict[str, Any]:
     """The same for all of them together, a run that several labels share counted once."""
-    return dict(zip(list(_SPENDING)[len(GROUP) :], _spent(list({run.id: run for run in runs}.values())), strict=True))
+    once = {run.id: run for run in runs}.values()
+    spent: dict[str, Any] = dict(zip(_SPENT, map(sum, zip(*map(_spent, once), strict=True)), strict=True))
+    return spent | {"steps_per_s": spent["steps"] / spent["wall_s"] if spent["wall_s"] else float("nan")}
 
 
-def _spent(runs: Sequence[Run]) -> tuple[Any, ...]:
-    ends = [run.curve.iloc[-1] for run in runs if len(run.curve)]
-    steps, wall_s = sum(int(end["step"]) for end in ends), sum(float(end["wall_s"]) for end in ends)
-    done = sum(run.plan["state"] == "done" for run in runs)
-    asked = (sum(int(end[name]) for end in ends) for name in ("queries", "labels"))
-    return (len(runs), done, steps, *asked, wall_s, steps / wall_s if wall_s else float("nan"))
+def _spent(run: Run) -> tuple[float, ...]:
+    end = run.curve.iloc[-1] if len(run.curve) else dict.fromkeys(("step", "queries", "labels", "wall_s"), 0)
+    counts = (int(end[name]) for name in ("step", "queries", "labels"))
+    return (1, int(run.plan["state"] == "done"), *counts, float(end["wall_s"]))
 
 
 def common_settings(runs: Iterable[Run]) -> pd.DataFrame:
     """The settings that all configured runs share: columns `setting, value`, values as JSON, none unset."""
-    found = [_settings(run) for run in runs if run.config is not None]
-    rows = [(name, value) for name, value in (found[0] if found else {}).items() if _shared(name, found)]
+    values = _settings(runs)
+    rows = [(name, next(iter(options))) for name, options in _options(values).items() if len(options) == 1]
     return frame(rows, dict.fromkeys(("setting", "value"), TEXT))
 
 
@@ -69,26 +65,31 @@ def differing_settings(runs: Iterable[Run]) -> pd.DataFrame:
     A value is missing where a group has no such setting; several values in a group stand side by side. No row is there
     where nothing differs.
     """
-    configured = [run for run in runs if run.config is not None]
-    found = {run.id: _settings(run) for run in configured}
-    names = dict.fromkeys(name for each in found.values() for name in each)
-    columns = [name for name in names if not _shared(name, list(found.values()))]
-    rows: dict[tuple[str, ...], dict[str, dict[str, None]]] = {}
-    for run in configured if columns else ():
-        row = rows.setdefault(tuple(run.plan[name] for name in GROUP), {name: {} for name in columns})
-        for name in set(columns) & set(found[run.id]):
-            row[name][found[run.id][name]] = None
+    runs = list(runs)
+    values = _settings(runs)
+    columns = [name for name, options in _options(values).items() if len(options) > 1]
+    rows: dict[Label, dict[str, dict[str, None]]] = {}
+    for run in (run for run in runs if columns and run.id in values):
+        row = rows.setdefault(run.row, {name: {} for name in columns})
+        for name in set(columns) & set(values[run.id]):
+            row[name][values[run.id][name]] = None
     table = [(*group, *(" / ".join(row[name]) or None for name in columns)) for group, row in rows.items()]
     return frame(table, dict.fromkeys((*GROUP, *columns), TEXT))
 
 
-def _settings(run: Run) -> dict[str, str]:
-    found = settings(run.config or {})
-    return {name: json.dumps(value) for name, value in found.items() if name not in _IDENTITY and value is not None}
+def _settings(runs: Iterable[Run]) -> dict[str, dict[str, str]]:
+    """The settings of configured runs, by id and name."""
+    flat = {run.id: settings(run.config) for run in runs if run.config is not None}
+    return {
+        run: {name: json.dumps(value) for name, value in own.items() if name not in _IDENTITY and value is not None}
+        for run, own in flat.items()
+    }
 
 
-def _shared(name: str, found: Sequence[Mapping[str, str]]) -> bool:
-    return len({each.get(name) for each in found}) == 1
+def _options(values: Mapping[str, Mapping[str, str]]) -> dict[str, set[str | None]]:
+    """The values of each setting; None among them where some run has none."""
+    names = dict.fromkeys(name for own in values.values() for name in own)
+    return {name: {own.get(name) for own in values.values()} for name in names}
 
 
 def makings(runs: Iterable[Run]) -> pd.DataFrame:

@@ -14,9 +14,9 @@ from functools import reduce
 import numpy as np
 
 from rrmctl.errors import UserError
-from rrmctl.reports.series import Floats, Series, Steps, at_steps
+from rrmctl.reports.series import Series, at_steps
 from rrmctl.reports.statistics import BOOTSTRAP_SEED, LEVEL, Statistics
-from rrmctl.stats import Estimate, Iqm, estimate, interval_possible, resample
+from rrmctl.stats import Estimate, Floats, Iqm, Steps, estimate, interval_possible, resample
 from rrmctl.stats.bootstrap import Statistic
 
 
@@ -25,21 +25,17 @@ class Score:
     """A number and its replicates."""
 
     point: float
-    draws: Floats | None  #: [R]; None where a task has too few seeds for an interval
+    draws: Floats  #: [R]; a NaN where a task has too few seeds for an interval
     n: int  #: fewest seeds of a task, of both methods where it is a difference
 
     def __sub__(self, other: Score) -> Score:
         """The difference between two methods, each resampled on its own."""
-        known = self.draws is not None and other.draws is not None
-        return Score(
-            self.point - other.point,
-            self.draws - other.draws if known else None,  # type: ignore[operator]  # both are there
-            min(self.n, other.n),
-        )
+        return Score(self.point - other.point, self.draws - other.draws, min(self.n, other.n))
 
     def estimate(self, level: float = LEVEL) -> Estimate:
         """With its percentile interval."""
-        return estimate(self.point, self.draws, n=self.n, level=level)
+        draws = None if np.isnan(self.draws).all() else self.draws
+        return estimate(self.point, draws, n=self.n, level=level)
 
 
 def score(
@@ -60,28 +56,19 @@ def score(
     """
     middle = statistic or Iqm(settings.kind)
     rng, sizes = np.random.default_rng([BOOTSTRAP_SEED, stream] if stream else BOOTSTRAP_SEED), list(map(len, tasks))
-    groups = [tasks] if pooled else [[each] for each in tasks]
+    groups = [tasks] if pooled else [[values] for values in tasks]
     points = [middle(np.concatenate(group).T).mean() for group in groups]
-    draws = None
+    draws = np.full(1, np.nan)
     if interval_possible(sizes):
         drawn = [resample(group, middle, rng=rng, replicates=settings.replicates) for group in groups]
-        draws = np.mean([each.mean(axis=-1) for each in drawn], axis=0)
+        draws = np.asarray(np.mean([replicates.mean(axis=-1) for replicates in drawn], axis=0))
     return Score(float(np.mean(points)), draws, min(sizes))
 
 
-def at(series: Series, step: int) -> Floats:
-    """The series' score at one of its steps, [S, 1]."""
-    return at_steps(series, np.array([step]))
-
-
 def read_together(series: Sequence[Series]) -> tuple[Steps, dict[Series, Floats]]:
-    """The steps that all of these series of one task have, and the score of each there, [S, T].
-
-    Raises:
-        UserError: there is no such step.
-    """
-    steps = reduce(np.intersect1d, (each.steps for each in series))
+    """The steps that all of these series of one task have, and the score of each there, [S, T]; refused without any."""
+    steps = reduce(np.intersect1d, (one.steps for one in series))
     if not steps.size:
         task = series[0].label.task
         raise UserError(f"{task}: no evaluation step is common to all schedules and methods", "let the runs go on")
-    return steps, {each: at_steps(each, steps) for each in series}
+    return steps, {one: at_steps(one, steps) for one in series}

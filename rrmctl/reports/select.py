@@ -10,7 +10,7 @@ from __future__ import annotations
 import dataclasses
 import json
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -20,11 +20,11 @@ from rrm.envs.tasks import task
 from rrmctl.commands import rrmctl
 from rrmctl.errors import UserError
 from rrmctl.labels import Label
-from rrmctl.reports import comparability, names
+from rrmctl.reports import comparability
 from rrmctl.reports.comparability import Making
 from rrmctl.reports.series import SCORE_COLUMN, Absent, Section, Series, by_seed
-from rrmctl.store.reader import load, open_results, planned
-from rrmctl.store.sweeps import read_sweeps
+from rrmctl.store.layout import check_profile, never_run
+from rrmctl.store.snapshot import Snapshot
 from rrmctl.store.trials import read_trial
 
 if TYPE_CHECKING:
@@ -36,7 +36,7 @@ _UNDER_WAY = ("running", "interrupted", "queued")
 def read_sections(
     results: str | Path, experiment: str | None = None, *, allow_mixed: bool = False
 ) -> tuple[Section, ...]:
-    """The sections of one experiment, or of all in the store, from the files below `results`.
+    """The sections of one experiment, or of all in the store.
 
     A section whose runs do not belong together says so (`Section.refusal`), and is refused where it is chosen.
 
@@ -46,53 +46,54 @@ def read_sections(
     Raises:
         UserError: no such results folder or experiment there, or a damaged file.
     """
-    layout = open_results(results)
-    names.experiments(layout, [] if experiment is None else [experiment])
-    rows, jobs = load(results, experiment), planned(results, experiment)
-    rows = rows[rows["experiment"] != ""]  # runs that no sweep asked for have no labels to be reported under
-    begun = [run for run in jobs["run"] if layout.run(run).config.exists()]
-    makings = comparability.read_makings(layout, list(dict.fromkeys([*rows["run"], *begun])))
-    superseded = {(each.experiment, each.variant): len(each.superseded) for each in read_sweeps(layout, experiment)}
-    found = []
-    for each in _split(rows, jobs, None, makings):
-        mixed = comparability.mixture(each, makings)
-        refusal = comparability.refuse(each, mixed, results) if mixed and not allow_mixed else None
-        trial = read_trial(layout, each.experiment, each.variant)
-        marked = _marked(
-            each,
-            comparability.told(mixed),
-            tuple(comparability.remarks(each, makings)),
-            superseded[each.experiment, each.variant],
-        )
-        found.append(dataclasses.replace(marked, refusal=each.refusal or refusal, trial=trial, source=layout))
-    return tuple(found)
+    store = Snapshot(results, experiment)
+    if not store.layout.experiments():
+        raise never_run(store.layout)
+    return sections_of(store, allow_mixed=allow_mixed)
 
 
-def _marked(section: Section, mixed: Sequence[str], remarks: tuple[str, ...], superseded: int) -> Section:
-    """The section with what is to be said of how its runs were made, and of those that gave way to others."""
-    gone = (
-        f"{superseded} run{'s are' if superseded > 1 else ' is'} left out: of other settings, files or versions than "
-    )
-    loud = (*((f"{gone}what was asked for since.",) if superseded else ()), *(f"MIXED: {each}." for each in mixed))
-    return dataclasses.replace(section, problems=(*section.problems, *loud), mixed=tuple(mixed), remarks=remarks)
+def sections_of(store: Snapshot, *, allow_mixed: bool = False) -> tuple[Section, ...]:
+    """The same of what has been read."""
+    jobs = store.planned()
+    rows = store.evaluations(jobs)
+    runs = dict.fromkeys([*rows["run"], *filter(store.begun, jobs["run"])])
+    makings = {run: comparability.making(store, run) for run in runs}
+    superseded = {(sweep.experiment, sweep.variant): len(sweep.superseded) for sweep in store.sweeps}
+    sections = []
+    for section in _split(rows, jobs, {}, makings):
+        mixed = comparability.mixture(section, makings)
+        differences = tuple(comparability.told(mixed))
+        problems = [*section.problems]
+        if gone := superseded[section.experiment, section.variant]:
+            problems.append(
+                f"{gone} run{'s are' if gone > 1 else ' is'} left out: of other settings, files or versions than what "
+                "was asked for since."
+            )
+        refusal = comparability.refuse(section, mixed, store.layout) if mixed and not allow_mixed else None
+        sections.append(dataclasses.replace(
+            section, problems=(*problems, *(f"MIXED: {difference}." for difference in differences)), mixed=differences,
+            remarks=tuple(comparability.remarks(section, makings)), refusal=section.refusal or refusal,
+            trial=read_trial(store.layout, section.experiment, section.variant), source=store.layout,
+        ))  # fmt: skip
+    return tuple(sections)
 
 
-def of_profile(found: Sequence[Section], profile: str | None) -> tuple[Section, ...]:
+def of_profile(sections: Sequence[Section], profile: str | None) -> tuple[Section, ...]:
     """The sections of this profile that have a run to show; of all profiles for None.
 
     Raises:
         UserError: there is none, the message says what is there instead; or the runs of one do not belong together.
     """
-    names.check_profile(profile, (each.profile for each in found))
-    chosen = [each.accepted() for each in found if profile in (None, each.profile)]
-    if not any(each.contained for each in chosen):
-        which = ", ".join(dict.fromkeys(each.experiment for each in chosen))
-        states = Counter(absent.state for each in chosen for absent in each.absent)
-        told = ", ".join(f"{count} {state}" for state, count in states.items())
-        problems = "".join(f"; {problem}" for each in chosen for problem in each.problems)
-        root = next((each.source.root for each in chosen if each.source is not None), None)
+    check_profile(profile, (section.profile for section in sections))
+    chosen = [section.accepted() for section in sections if profile in (None, section.profile)]
+    if not any(section.contained for section in chosen):
+        which = ", ".join(dict.fromkeys(section.experiment for section in chosen))
+        states = Counter(absent.state for section in chosen for absent in section.absent)
+        counts = ", ".join(f"{count} {state}" for state, count in states.items())
+        problems = "".join(f"; {problem}" for section in chosen for problem in section.problems)
+        root = next((section.source.root for section in chosen if section.source is not None), None)
         raise UserError(
-            f"{which}: no run can be reported yet; of the planned ones {told}{problems}",
+            f"{which}: no run can be reported yet; of the planned ones {counts}{problems}",
             f"`{rrmctl('status', results=root)}` says where they stand, and what goes on with them",
         )
     return tuple(chosen)
@@ -103,7 +104,6 @@ def sections(
     jobs: pd.DataFrame | None = None,
     *,
     evaluation: Mapping[str, Mapping[str, Any] | None] | None = None,
-    makings: Mapping[str, Making] | None = None,
 ) -> tuple[Section, ...]:
     """Split the store's rows into sections that may each be reported as a whole.
 
@@ -111,102 +111,93 @@ def sections(
         rows: as `rrmctl.store.load` returns them.
         jobs: as `rrmctl.store.planned` returns them; without it the runs in `rows` are taken for the whole plan.
         evaluation: for each cell its evaluation settings (`success`, `deterministic`), where known.
-        makings: for each run how it was made, of which `evaluation` is then taken; without it all are taken for alike.
 
     Raises:
         UserError: one series holds runs of several configurations, or an unknown task.
     """
-    return tuple(each.accepted() for each in _split(rows, jobs, evaluation, makings or {}))
+    return tuple(section.accepted() for section in _split(rows, jobs, evaluation or {}, {}))
 
 
 def _split(
     rows: pd.DataFrame,
     jobs: pd.DataFrame | None,
-    evaluation: Mapping[str, Mapping[str, Any] | None] | None,
+    evaluation: Mapping[str, Mapping[str, Any] | None],
     makings: Mapping[str, Making],
 ) -> Iterator[Section]:
     """The sections, with those among them whose runs do not belong together."""
     if jobs is None:
         jobs = rows.drop_duplicates(["experiment", "variant", *Label._fields, "run"]).assign(overrides="{}")
-    known = {cell: makings[run].config.get("evaluation") for cell, run in _distinct(rows, "cell", "run") if makings}
-    versions = {run: made.version for run, made in makings.items()}
-    for key in dict.fromkeys(zip(jobs["experiment"], jobs["variant"], strict=True)):
-        yield _section(_of_variant(rows, key), _of_variant(jobs, key), evaluation or known, versions)
+    if makings:
+        evaluation = {cell: makings[run].config.get("evaluation") for cell, run in _distinct(rows, "cell", "run")}
+    for variant in _distinct(jobs, "experiment", "variant"):
+        place = dict(zip(("experiment", "variant"), variant, strict=True))
+        yield _section(_where(rows, place), _where(jobs, place), evaluation, makings)
 
 
-def _of_variant(table: pd.DataFrame, key: tuple[str, str]) -> pd.DataFrame:
-    experiment, variant = key
-    return table[(table["experiment"] == experiment) & (table["variant"] == variant)]
-
-
-def _section(
-    rows: pd.DataFrame,
-    jobs: pd.DataFrame,
-    evaluation: Mapping[str, Mapping[str, Any] | None],
-    versions: Mapping[str, int],
-) -> Section:
-    problems: list[str] = []
-    refusals: list[UserError] = []
-    series, absent = [], []
-    for label in _ordered(Label(*row) for row in jobs[list(Label._fields)].itertuples(index=False)):
-        asked = _labelled(jobs, label)
-        each = _series(label, _labelled(rows, label), versions, problems, refusals)
-        series.append(dataclasses.replace(each, planned=len(asked)))
-        absent += [
-            Absent(label, int(seed), run, state)
-            for seed, run, state in zip(asked["seed"], asked["run"], asked["state"], strict=True)
-            if run not in each.runs
-        ]
-    used = rows[rows["run"].isin([run for each in series for run in each.runs])]
-    protocols = [_protocol(episodes, evaluation.get(cell)) for cell, episodes in _distinct(used, "cell", "episodes")]
-    first = jobs.iloc[0]
-    return Section(
-        experiment=str(first["experiment"]),
-        profile=str(first["profile"]),
-        variant=str(first["variant"]),
-        overrides=json.loads(first["overrides"]),
-        series=tuple(series),
-        absent=tuple(absent),
-        planned=int(jobs["run"].nunique()),
-        evaluation=tuple(dict.fromkeys(protocols)),
-        problems=tuple(problems),
-        refusal=next(iter(refusals), None),
-    )
-
-
-def _ordered(labels: Iterable[Label]) -> list[Label]:
-    """Distinct labels, tasks and then methods in the order in which they first appear."""
-    distinct = list(dict.fromkeys(labels))
-    tasks = list(dict.fromkeys(label.task for label in distinct))
-    methods = list(dict.fromkeys(label.method for label in distinct))
-    return sorted(distinct, key=lambda label: (tasks.index(label.task), methods.index(label.method)))
-
-
-def _labelled(table: pd.DataFrame, label: Label) -> pd.DataFrame:
-    mask = np.ones(len(table), dtype=bool)
-    for column, value in label._asdict().items():
-        mask &= (table[column] == value).to_numpy()
-    return table[mask]
+def _where(table: pd.DataFrame, values: Mapping[str, Any]) -> pd.DataFrame:
+    """The rows that have these values."""
+    chosen = np.ones(len(table), dtype=bool)
+    for column, value in values.items():
+        chosen &= (table[column] == value).to_numpy()
+    return table[chosen]
 
 
 def _distinct(table: pd.DataFrame, *columns: str) -> list[tuple[Any, ...]]:
     return list(dict.fromkeys(table[list(columns)].itertuples(index=False, name=None)))
 
 
+def _section(
+    rows: pd.DataFrame,
+    jobs: pd.DataFrame,
+    evaluation: Mapping[str, Mapping[str, Any] | None],
+    makings: Mapping[str, Making],
+) -> Section:
+    problems: list[str] = []
+    refusals: list[UserError] = []
+    series: list[Series] = []
+    absent: list[Absent] = []
+    labels = [Label(*names) for names in _distinct(jobs, *Label._fields)]
+    tasks, methods = (list(dict.fromkeys(names)) for names in (jobs["task"], jobs["method"]))
+    for label in sorted(labels, key=lambda label: (tasks.index(label.task), methods.index(label.method))):
+        planned = _where(jobs, label._asdict())
+        own = _where(rows, label._asdict())
+        series.append(_series(label, own, makings, problems, refusals, planned=len(planned)))
+        absent += [
+            Absent(label, int(seed), run, state)
+            for seed, run, state in zip(planned["seed"], planned["run"], planned["state"], strict=True)
+            if run not in series[-1].runs
+        ]
+    used = rows[rows["run"].isin([run for one in series for run in one.runs])]
+    protocols = [_protocol(episodes, evaluation.get(cell)) for cell, episodes in _distinct(used, "cell", "episodes")]
+    first = jobs.iloc[0]
+    return Section(
+        experiment=str(first["experiment"]), profile=str(first["profile"]), variant=str(first["variant"]),
+        overrides=json.loads(first["overrides"]), series=tuple(series), absent=tuple(absent),
+        planned=int(jobs["run"].nunique()), evaluation=tuple(dict.fromkeys(protocols)), problems=tuple(problems),
+        refusal=next(iter(refusals), None),
+    )  # fmt: skip
+
+
 def _protocol(episodes: int, settings: Mapping[str, Any] | None) -> str:
     """One evaluation in words."""
-    told = f"{episodes} episode{'s' if episodes != 1 else ''} an evaluation"
+    words = f"{episodes} episode{'s' if episodes != 1 else ''} an evaluation"
     if settings is None:
-        return told
+        return words
     success = {"any": "success at any step of an episode", "last": "success at the last step of an episode"}
     policy = "deterministic policy" if settings["deterministic"] else "sampled actions"
-    return f"{told}, {success[settings['success']]}, {policy}"
+    return f"{words}, {success[settings['success']]}, {policy}"
 
 
 def _series(
-    label: Label, rows: pd.DataFrame, versions: Mapping[str, int], problems: list[str], refusals: list[UserError]
+    label: Label,
+    rows: pd.DataFrame,
+    makings: Mapping[str, Making],
+    problems: list[str],
+    refusals: list[UserError],
+    *,
+    planned: int,
 ) -> Series:
-    """The series of one label, as if its runs were all that was planned.
+    """The series of one label.
 
     Adds to `problems` what was left out of it, and to `refusals` why its runs cannot be averaged; then it is empty.
     """
@@ -214,7 +205,7 @@ def _series(
     done = rows[rows["state"] == "done"]
     used = done if len(done) else rows[rows["state"].isin(_UNDER_WAY)]
     # Versions differ in their configurations; whether those meet is looked at when all series are known.
-    version = used["run"].map(lambda run: versions.get(run, 0))
+    version = used["run"].map(lambda run: makings[run].facts[comparability.VERSION] if run in makings else "")
     several = [why for _, alike in used.groupby(version) if (why := comparability.configurations(label, alike))]
     if several:
         refusals += several
@@ -232,13 +223,6 @@ def _series(
     steps, values = steps[finite], values[:, finite]
     who = who if steps.size else []
     return Series(
-        label=label,
-        score=score,
-        steps=steps,
-        values=values,
-        seeds=tuple(int(seed) for seed, _ in who),
-        runs=tuple(str(run) for _, run in who),
-        planned=len(who),
-        finished=len(done) > 0,
-        rows=used,
-    )
+        label=label, score=score, steps=steps, values=values, seeds=tuple(int(seed) for seed, _ in who),
+        runs=tuple(str(run) for _, run in who), planned=planned, finished=len(done) > 0, rows=used,
+    )  # fmt: skip

@@ -2,27 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import reduce
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from rrm.envs.tasks import ScoreKind
 from rrmctl.errors import UserError
 from rrmctl.labels import Label, knows, panels
 from rrmctl.reports.styles import Looks, styles
-from rrmctl.stats import CommonStep, common_step
+from rrmctl.stats import CommonStep, Floats, Steps, common_step
 from rrmctl.store.trials import Trial
 
 if TYPE_CHECKING:
     import pandas as pd
 
     from rrmctl.store.layout import Layout
-
-Floats = npt.NDArray[np.float64]
-Steps = npt.NDArray[np.int64]
 
 #: The column of the curve that holds a score.
 SCORE_COLUMN: dict[ScoreKind, str] = {"success": "success", "return": "true_return"}
@@ -75,22 +72,23 @@ class Panel:
 
     def present(self) -> tuple[Series, ...]:
         """The series with at least one run."""
-        return tuple(each for each in self.series if each.n)
+        return tuple(series for series in self.series if series.n)
 
     def steps(self) -> Steps:
-        """Evaluation steps common to all series present.
-
-        Raises:
-            UserError: there is none, so the methods cannot be compared.
-        """
+        """Evaluation steps common to all series present; an error where there is none: they cannot be compared."""
         present = self.present()
-        common = present[0].steps
-        for each in present[1:]:
-            common = np.intersect1d(common, each.steps)
+        common = reduce(np.intersect1d, (series.steps for series in present))
         if common.size == 0:
             seen = "; ".join(f"{s.label.method} at {s.steps[0]:,} to {s.steps[-1]:,}" for s in present)
             raise UserError(f"{self.task}: no evaluation step is common to all methods: {seen}")
         return common
+
+    def row(self, series: Series) -> dict[str, Any]:
+        """What a row of a table says of one of its series, whatever was measured."""
+        return {
+            "task": self.task, "teacher": self.teacher, "feedback": self.feedback, "method": series.label.method,
+            "score": self.score, "n": series.n, "planned": series.planned,
+        }  # fmt: skip
 
     def comparable(self) -> bool:
         """Whether some evaluation step is common to its methods."""
@@ -101,10 +99,8 @@ class Panel:
 
     def read_at(self) -> CommonStep:
         """The step at which the methods are compared: the paper's rule for success, the last one for returns."""
-        steps = self.steps()
-        if self.score == "return":
-            return CommonStep(index=steps.size - 1, step=int(steps[-1]), reached=False, by=())
-        success = {each.label.method: at_steps(each, steps) for each in self.present() if not knows(each.label.method)}
+        steps, rivals = self.steps(), [series for series in self.present() if not knows(series.label.method)]
+        success = {series.label.method: at_steps(series, steps) for series in rivals if self.score == "success"}
         return common_step(steps, success)
 
 
@@ -128,33 +124,25 @@ class Section:
     source: Layout | None = None  #: the store it was read from, for what runs leave beside their curves
 
     def accepted(self) -> Section:
-        """The section, where its runs belong together.
-
-        Raises:
-            UserError: they do not.
-        """
+        """The section, where its runs belong together; else the error says why they do not."""
         if self.refusal is not None:
             raise self.refusal
         return self
 
     def looks(self) -> Looks:
         """How its methods are drawn, with or without runs."""
-        return styles(each.label.method for each in self.series)
+        return styles(series.label.method for series in self.series)
 
     @property
     def contained(self) -> int:
         """Planned runs that are in it."""
-        return len({run for each in self.series for run in each.runs})
+        return len({run for series in self.series for run in series.runs})
 
     def panels(self) -> tuple[Panel, ...]:
         """The comparisons, in the order of the plan; those without any run are left out."""
-        known = {each.label: each for each in self.series}
-        found = []
-        for where, labels in panels(known).items():
-            members = tuple(known[label] for label in labels)
-            if any(each.n for each in members):
-                found.append(Panel(*where, members[0].score, members))
-        return tuple(found)
+        by_label = {series.label: series for series in self.series}
+        groups = ((where, tuple(by_label[label] for label in labels)) for where, labels in panels(by_label).items())
+        return tuple(Panel(*where, own[0].score, own) for where, own in groups if any(series.n for series in own))
 
 
 def by_seed(rows: pd.DataFrame, column: str) -> tuple[Steps, Floats]:
@@ -171,6 +159,6 @@ def finite(steps: Steps, values: Floats) -> tuple[Steps, Floats]:
     return steps[known], values[:, known]
 
 
-def at_steps(series: Series, steps: Steps) -> Floats:
+def at_steps(series: Series, steps: Steps | Sequence[int]) -> Floats:
     """The series' values at these of its steps, [S, len(steps)]."""
     return series.values[:, np.searchsorted(series.steps, steps)]

@@ -10,20 +10,19 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
+from functools import reduce
 from typing import Literal
 
 import numpy as np
 
 from rrm.envs.tasks import ScoreKind as Unit
 from rrmctl.errors import UserError
-from rrmctl.planning.profiles import PAPER
 from rrmctl.planning.schedules import Schedule
-from rrmctl.reports.claims import Arm, Budget, Claim, Reading, Test
+from rrmctl.reports.claims import Arm, Claim, Reading, Test
 from rrmctl.reports.scores import Score, score
-from rrmctl.reports.series import Floats, Section, Series, Steps
+from rrmctl.reports.series import Section, Series
 from rrmctl.reports.statistics import LEVEL, Statistics
-from rrmctl.stats import MIN_RUNS, Estimate
+from rrmctl.stats import MIN_RUNS, Estimate, Floats
 
 Verdict = Literal["held", "not held", "not enough data"]
 
@@ -37,103 +36,83 @@ class Finding:
 
     test: Test
     task: str  #: or several, pooled
-    unit: Unit
-    found: Estimate | None  #: of the arm, or of the difference; None where there is no data
-    verdict: Verdict
-    margin: float  #: by how much the interval is on the claim's side, below zero where it is not; NaN without data
-    why: str  #: where there is not enough data, what is missing
+    unit: Unit = "success"
+    found: Estimate | None = None  #: of the arm, or of the difference; None where there is no data
+    verdict: Verdict = "not enough data"
+    margin: float = -math.inf  #: by how much the interval is on the claim's side, below zero where it is not
+    why: str = ""  #: where there is not enough data, what is missing
 
 
 @dataclass(frozen=True)
 class Judgement:
-    """A claim and what the store says of it."""
+    """What the store says of a claim."""
 
-    claim: Claim
     verdict: Verdict
     findings: tuple[Finding, ...]
 
     @property
     def deciding(self) -> Finding:
         """The comparison on which the verdict rests: what is missing, else the one that is worst for the claim."""
-        alike = [each for each in self.findings if each.verdict == self.verdict]
-        return min(alike, key=lambda each: -math.inf if math.isnan(each.margin) else each.margin)
-
-
-class MissingDataError(Exception):
-    """A comparison cannot be made; the message says what is missing."""
+        alike = [finding for finding in self.findings if finding.verdict == self.verdict]
+        return min(alike, key=lambda finding: finding.margin)
 
 
 def judge(claim: Claim, sections: Mapping[str, Section], settings: Statistics) -> Judgement:
     """The verdict on a claim from the sections of one variant, by experiment."""
     groups = [claim.tasks] if claim.pooled else [(task,) for task in claim.tasks]
-    pairs = [(test, tasks) for tasks in groups for test in claim.tests]
-    find = partial(_finding, section=sections.get(claim.experiment), claim=claim, rivals=len(pairs), settings=settings)
-    findings = tuple(find(test, tasks) for test, tasks in pairs)
-    verdicts = {each.verdict for each in findings}
-    if "not held" in verdicts:
-        return Judgement(claim, "not held", findings)
-    return Judgement(claim, "held" if verdicts == {"held"} else "not enough data", findings)
+    rivals = len(groups) * len(claim.tests)
+    findings = []
+    for tasks in groups:
+        for test in claim.tests:
+            try:
+                if claim.experiment not in sections:
+                    raise UserError(f"no runs of {claim.experiment}")
+                findings.append(_finding(test, tasks, sections[claim.experiment], rivals, settings))
+            except UserError as error:
+                findings.append(Finding(test, ", ".join(tasks), why=str(error)))
+    verdicts = {finding.verdict for finding in findings}
+    verdict: Verdict = "not held" if "not held" in verdicts else "held" if verdicts == {"held"} else "not enough data"
+    return Judgement(verdict, tuple(findings))
 
 
-def _finding(
-    test: Test, tasks: Sequence[str], *, section: Section | None, claim: Claim, rivals: int, settings: Statistics
-) -> Finding:
-    names = ", ".join(tasks)
-    try:
-        if section is None:
-            raise MissingDataError(f"no runs of {claim.experiment}")
-        found, unit = _measured(test, tasks, section, settings)
-    except (MissingDataError, UserError) as error:  # the latter: methods have no step in common
-        return Finding(test, names, "success", None, "not enough data", math.nan, str(error))
-    held, refuted = found.estimate(LEVEL), found.estimate(1 - (1 - LEVEL) / rivals)
+def _finding(test: Test, tasks: Sequence[str], section: Section, rivals: int, settings: Statistics) -> Finding:
+    """What the section says of one of so many rival comparisons; the error says why it says nothing."""
+    measured, unit = _measured(test, tasks, section, settings)
+    found = measured.estimate()
+    what = (test, ", ".join(tasks), unit, found)
     if section.profile in _UNJUDGED:
-        return Finding(test, names, unit, held, "not enough data", math.nan, f"profile {section.profile} is no result")
-    if found.draws is None:
-        return Finding(
-            test, names, unit, held, "not enough data", math.nan, f"{found.n} seeds; an interval needs {MIN_RUNS}"
-        )
-    sides = _settled(test, held), _settled(test, refuted)
-    verdict: Verdict = "held" if sides[0] is True else "not held" if sides[1] is False else "not enough data"
-    why = "" if verdict != "not enough data" else "the interval allows both"
-    return Finding(test, names, unit, held, verdict, _margin(test, held), why)
+        return Finding(*what, why=f"profile {section.profile} is no result")
+    if np.isnan(measured.draws).all():
+        return Finding(*what, why=f"{found.n} seeds; an interval needs {MIN_RUNS}")
+    (worst, _), (_, best) = _beyond(test, found), _beyond(test, measured.estimate(1 - (1 - LEVEL) / rivals))
+    on_bound = test.relation == "at least"  # a value on the bound is on the claim's side
+    if worst > 0 or (on_bound and worst == 0):
+        return Finding(*what, "held", worst)
+    if best < 0 or (not on_bound and best == 0):
+        return Finding(*what, "not held", worst)
+    return Finding(*what, "not enough data", worst, "the interval allows both")
 
 
-def _settled(test: Test, found: Estimate) -> bool | None:
-    """True where the whole interval is on the test's side, False where all of it is on the other, else None."""
-    low, high = float(found.low), float(found.high)
-    bound = _bound(test)
-    if test.relation == "at least":
-        return True if low >= bound else False if high < bound else None
-    if test.relation == "below":
-        return True if high < bound else False if low >= bound else None
-    return True if low > bound else False if high <= bound else None
-
-
-def _margin(test: Test, found: Estimate) -> float:
-    bound = _bound(test)
-    return bound - float(found.high) if test.relation == "below" else float(found.low) - bound
-
-
-def _bound(test: Test) -> float:
-    return test.than if isinstance(test.than, float) else 0.0
+def _beyond(test: Test, found: Estimate) -> tuple[float, float]:
+    """By how much the interval's ends are on the claim's side, the worse one first."""
+    bound, low, high = 0.0 if isinstance(test.than, Arm) else test.than, float(found.low), float(found.high)
+    return (bound - high, bound - low) if test.relation == "below" else (low - bound, high - bound)
 
 
 def _measured(test: Test, tasks: Sequence[str], section: Section, settings: Statistics) -> tuple[Score, Unit]:
-    """The number that a test compares with its bound."""
-    arms = [test.arm, *([test.than] if isinstance(test.than, Arm) else [])]
-    read: list[list[Floats]] = [[] for _ in arms]
+    """The number that a test compares with its bound, and its unit."""
+    arms, read = [arm for arm in (test.arm, test.than) if isinstance(arm, Arm)], []
     for task in tasks:
         series = [_series(section, task, arm) for arm in arms]
-        for values, each in zip(read, _values(section, series, test.reading), strict=True):
-            values.append(each)
+        read.append(list(_values(section, series, test.reading)))
     statistic = _deviation if test.reading.spread else None
     pooled = test.reading.steps != "all"
     scores = [
-        score(each, settings, pooled=pooled, stream=stream, statistic=statistic)
-        for stream, each in enumerate(read, start=1)
+        score(values, settings, pooled=pooled, stream=stream, statistic=statistic)
+        for stream, values in enumerate(zip(*read, strict=True), start=1)
     ]
-    found = scores[0] - scores[1] if len(scores) > 1 else scores[0]
-    return found, test.reading.unit or series[0].score
+    measured = scores[0] - scores[1] if len(scores) > 1 else scores[0]
+    return measured, test.reading.unit or series[0].score
 
 
 def _deviation(scores: Floats) -> Floats:
@@ -144,71 +123,45 @@ def _deviation(scores: Floats) -> Floats:
 
 
 def _series(section: Section, task: str, arm: Arm) -> Series:
-    """The one finished series that an arm means.
-
-    Raises:
-        MissingDataError: there is none, or it is not finished.
-    """
-    named = [each for each in section.series if (each.label.task, each.label.method) == (task, arm.method)]
-    found = [each for each in named if arm.teacher in (None, each.label.teacher)]
-    if arm.budget is not None:
-        asked = [(each, Schedule.of(each.label.feedback)) for each in found]
-        found = [each for each, schedule in asked if schedule and _is(arm.budget, schedule, _fullest(section, task))]
-    if not any(each.n for each in found):
-        raise MissingDataError(f"no runs of {arm}, {task}")
-    if len(found) > 1:
-        raise MissingDataError(f"{arm} stands for {len(found)} series of {task}")
-    if not found[0].finished:
-        raise MissingDataError(f"{arm}, {task}: runs are under way")
-    return found[0]
-
-
-def _fullest(section: Section, task: str) -> tuple[int, int]:
-    """Questions of the largest session and steps of the shortest interval among a task's schedules."""
-    labels = [each.label for each in section.series if each.label.task == task]
-    known = [schedule for label in labels if (schedule := Schedule.of(label.feedback))]
-    return max(each.batch for each in known), min(each.every for each in known)
+    """The one finished series that an arm means; the error says why there is none."""
+    of_task = [(series, Schedule.of(series.label.feedback)) for series in section.series if series.label.task == task]
+    schedules = [schedule for _, schedule in of_task if schedule]
+    meant = [
+        series
+        for series, schedule in of_task
+        if series.label.method == arm.method and arm.teacher in (None, series.label.teacher)
+        if arm.budget is None or (schedule and _is(arm.budget, schedule, schedules))
+    ]
+    if not any(series.n for series in meant):
+        raise UserError(f"no runs of {arm}, {task}")
+    if len(meant) > 1:
+        raise UserError(f"{arm} stands for {len(meant)} series of {task}")
+    if not meant[0].finished:
+        raise UserError(f"{arm}, {task}: runs are under way")
+    return meant[0]
 
 
-def _is(budget: Budget, asked: Schedule, full: tuple[int, int]) -> bool:
-    return math.isclose(asked.batch / full[0], budget.batch, rel_tol=0.1) and math.isclose(
-        asked.every / full[1], budget.every, rel_tol=0.1
-    )
+def _is(budget: tuple[float, float], schedule: Schedule, schedules: Sequence[Schedule]) -> bool:
+    """Whether a schedule is this proportion of the largest session and the shortest wait among a task's."""
+    batch, every = max(other.batch for other in schedules), min(other.every for other in schedules)
+    shares = (schedule.batch / batch, schedule.every / every)
+    return all(math.isclose(share, wanted, rel_tol=0.1) for share, wanted in zip(shares, budget, strict=True))
 
 
 def _values(section: Section, series: Sequence[Series], reading: Reading) -> Iterator[Floats]:
-    """What is read of each series [S, T], at the same steps of all.
-
-    Raises:
-        MissingDataError: no step is common to them, or a value is not a number.
-    """
-    measured = [reading.measure(each) for each in series]
-    steps = measured[0][0]
-    for other, _ in measured[1:]:
-        steps = np.intersect1d(steps, other)
-    steps = _chosen(section, series, steps, reading)
-    for (own, values), each in zip(measured, series, strict=True):
-        at = values[:, np.searchsorted(own, steps)]
-        if not np.isfinite(at).all():
-            raise MissingDataError(f"{each.label}: {reading.words} is not measured")
-        yield at
-
-
-def _chosen(section: Section, series: Sequence[Series], steps: Steps, reading: Reading) -> Steps:
-    """Those of the common steps that the reading asks for."""
+    """What is read of each series [S, T], at the same steps of all; the error says why there is nothing."""
+    measured = [reading.of(one) for one in series]
+    steps = reduce(np.intersect1d, (own for own, _ in measured))
     if reading.steps == "common":
-        panels = [panel for panel in section.panels() if any(each in panel.series for each in series)]
+        panels = [panel for panel in section.panels() if any(one in panel.series for one in series)]
         steps = steps[steps == panels[0].read_at().step]
     elif steps.size:
         steps = steps[steps <= reading.until * steps[-1]]
         steps = steps[-1:] if reading.steps == "last" else steps
     if not steps.size:
-        raise MissingDataError(f"{series[0].label}: no evaluation at {reading.words}")
-    return steps
-
-
-def at_profile(verdict: Verdict, section: Section) -> str:
-    """The verdict, with the scale where it is not the paper's and whatever else was set otherwise."""
-    told = [] if section.profile == PAPER else [f"profile {section.profile}"]
-    told += [f"{key}={value}" for key, value in section.overrides.items()]
-    return verdict + (f" ({', '.join(told)})" if told else "")
+        raise UserError(f"{series[0].label}: no evaluation at {reading.words}")
+    for (own, values), one in zip(measured, series, strict=True):
+        at = values[:, np.searchsorted(own, steps)]
+        if not np.isfinite(at).all():
+            raise UserError(f"{one.label}: {reading.words} is not measured")
+        yield at

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from rrmctl.errors import UserError
 from rrmctl.store.files import DamagedError
 from rrmctl.store.layout import RunFolder
-from rrmctl.store.reader import CONFIG_HINT, read_config
+from rrmctl.store.provenance import CONFIG_HINT, read_config
 
 if TYPE_CHECKING:
     from rrm.training.kinds import JobConfig
@@ -40,14 +40,12 @@ def config_content(config: JobConfig) -> dict[str, Any]:
 def load_config(folder: RunFolder) -> JobConfig:
     """The run's configuration, checked against its id and against the user's files it names.
 
-    Raises:
-        DamagedError: the file is missing, damaged or edited.
-        MissingFileError: a file of the user's that it names is not there now, or is another one by now.
-        UserError, RrmError: it is of another version.
+    Raises MissingFileError where one of those is not there now, or is another one by now.
     """
     from pydantic import ValidationError
 
-    from rrm.errors import UnknownNameError
+    from rrm.errors import ConfigError, UnknownNameError
+    from rrm.registry import file_digest
     from rrm.training.kinds import config_class
     from rrm.training.run_config import CONFIG_VERSION
 
@@ -58,7 +56,13 @@ def load_config(folder: RunFolder) -> JobConfig:
             f"this program trains version {CONFIG_VERSION}",
             "use the rrmctl that wrote it, or run the experiment into another --results folder",
         )
-    _check_files(stored)
+    for key, path, planned in _user_files(stored):  # another content would be another run
+        try:
+            changed = file_digest(Path(path), key) != planned
+        except ConfigError as error:
+            raise MissingFileError(str(error), _BACK) from error
+        if changed:
+            raise MissingFileError(f"{path} has changed since this run was planned with it", _BACK)
     try:
         model = config_class(str(stored.get("kind", "train")))  # written before there were kinds: a run
     except UnknownNameError as error:
@@ -69,8 +73,8 @@ def load_config(folder: RunFolder) -> JobConfig:
     except ValidationError as error:
         raise DamagedError(f"{folder.config} is not a configuration: {error}", CONFIG_HINT) from error
     if config.identity != folder.id:
-        told = f"{folder.config} describes run {config.identity}, not {folder.id}: it was edited"
-        raise DamagedError(told, CONFIG_HINT)
+        problem = f"{folder.config} describes run {config.identity}, not {folder.id}: it was edited"
+        raise DamagedError(problem, CONFIG_HINT)
     return config
 
 
@@ -79,12 +83,10 @@ def code_files(stored: Mapping[str, Any]) -> dict[str, str]:
 
     Frozen language priors are none of them: such code can do nothing but compute.
     """
-    named = {path: str(digest) for key, path, digest in _user_files(stored) if key != "demos"}
-    if not named:
-        return named
     from rrm.registry import LANGUAGE
 
-    return {path: digest for path, digest in named.items() if not path.endswith(LANGUAGE)}
+    named = ((path, str(digest)) for key, path, digest in _user_files(stored) if key != "demos")
+    return {path: digest for path, digest in named if not path.endswith(LANGUAGE)}
 
 
 def _user_files(stored: Mapping[str, Any]) -> Iterator[tuple[str, str, Any]]:
@@ -96,17 +98,3 @@ def _user_files(stored: Mapping[str, Any]) -> Iterator[tuple[str, str, Any]]:
         name = settings.get(key) if isinstance(settings, dict) else None
         if isinstance(name, str) and (key == "demos" or is_file_reference(name)):
             yield key, name if key == "demos" else name.rpartition(":")[0], settings.get(f"{key}_digest")
-
-
-def _check_files(stored: Mapping[str, Any]) -> None:
-    """Refuse a user's file that is not the one the run was planned with: it would be another run."""
-    from rrm.errors import ConfigError
-    from rrm.registry import file_digest
-
-    for key, path, planned in _user_files(stored):
-        try:
-            changed = file_digest(Path(path), key) != planned
-        except ConfigError as error:
-            raise MissingFileError(str(error), _BACK) from error
-        if changed:
-            raise MissingFileError(f"{path} has changed since this run was planned with it", _BACK)

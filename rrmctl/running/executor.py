@@ -64,12 +64,7 @@ class Executor(Protocol):
     """Takes orders and tells what becomes of them; knows nothing of retries, or of runs that need others."""
 
     def submit(self, order: WorkOrder) -> None:
-        """Begin an attempt.
-
-        Raises:
-            StorageError: the results folder takes no write.
-            OSError: nothing can be begun just now.
-        """
+        """Begin an attempt. Raises StorageError, or OSError where nothing can be begun just now."""
 
     def events(self, wait_s: float) -> Iterator[Event]:
         """What has happened since the last call; waits so long at the most where nothing has."""

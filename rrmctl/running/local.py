@@ -9,16 +9,14 @@ import selectors
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from rrmctl.running.executor import Ended, Evaluated, Event, Note, Progress, Started, WorkOrder
+from rrmctl.running.executor import Ended, Event, WorkOrder
 from rrmctl.running.process import WORKER, Child
-from rrmctl.store.status import ErrorKind, RunError
+from rrmctl.store.status import ErrorKind
 from rrmctl.suspend_clock import WakingTime
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
     from rrmctl.store.layout import Layout
 
 #: Time between two looks at the memory of workers, seconds.
@@ -40,10 +38,7 @@ class LocalExecutor:
     _weighed: float = field(default=0.0, init=False)  #: when the memory of workers was last looked at
 
     def submit(self, order: WorkOrder) -> None:
-        child = Child(
-            self.layout, order.run, threads=order.threads, options=order.options, command=self.command,
-            clock=self._waking,
-        )  # fmt: skip
+        child = Child(self.layout, order, command=self.command, clock=self._waking)
         self._children[order.run] = child
         self._selector.register(child, selectors.EVENT_READ)
 
@@ -55,7 +50,10 @@ class LocalExecutor:
         self._end_misbehaving()
         for child in [child for child in self._children.values() if child.ended()]:
             yield from self._hear(child)
-            self._forget(child)
+            if child.open:
+                self._selector.unregister(child)
+                child.close()
+            del self._children[child.job]
             yield Ended(child.job, child.outcome(stopping=self._stopping))
 
     @property
@@ -70,17 +68,16 @@ class LocalExecutor:
     def close(self) -> None:
         for child in self._children.values():
             child.kill()
-        for child in list(self._children.values()):
+        for child in self._children.values():
             child.wait()
         self._children.clear()
         self._selector.close()
 
-    def _hear(self, child: Child) -> Iterator[Event]:
-        messages = child.messages()
+    def _hear(self, child: Child) -> list[Event]:
+        events = child.events()
         if not child.open and child in self._selector.get_map():
             self._selector.unregister(child)
-        for message in messages:
-            yield from _event(child, message)
+        return events
 
     def _end_misbehaving(self) -> None:
         """End workers that are silent for too long, and those that take too much memory."""
@@ -94,25 +91,5 @@ class LocalExecutor:
         for child in self._children.values():
             memory = child.memory()
             if memory is not None and memory > self.memory_limit:
-                taken, limit = (f"{each / 2**30:.2f} GiB" for each in (memory, self.memory_limit))
+                taken, limit = (f"{size / 2**30:.2f} GiB" for size in (memory, self.memory_limit))
                 child.end(ErrorKind.MEMORY, f"took {taken} of memory, {limit} are allowed,")
-
-    def _forget(self, child: Child) -> None:
-        if child.open:
-            self._selector.unregister(child)
-            child.close()
-        del self._children[child.job]
-
-
-def _event(child: Child, message: Mapping[str, Any]) -> Iterator[Event]:
-    match message["event"]:
-        case "start":
-            yield Started(child.job, message["attempt"], message["rows"])
-        case "beat":
-            yield Progress(child.job, message["step"], message["steps_per_s"])
-        case "row":
-            yield Evaluated(child.job, message["step"], message["success"], message["true_return"])
-        case "note":
-            yield Note(child.job, message["text"])
-        case "error":
-            child.error = RunError.from_json(message)

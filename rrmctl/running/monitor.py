@@ -10,9 +10,9 @@ from contextlib import AbstractContextManager
 from typing import TYPE_CHECKING, Any
 
 from rrmctl.running.parent_link import Pipe, StopRequest, say
+from rrmctl.store.curve import CurveWriter
 from rrmctl.store.lease import Lease
 from rrmctl.store.status import RunState, Status, write_status
-from rrmctl.store.writer import CurveWriter
 
 if TYPE_CHECKING:
     from rrm.types import EvalRow
@@ -22,7 +22,7 @@ HEARTBEAT_S = 5.0
 
 
 class RunMonitor:
-    """Where a trainer reports to: rows into the curve, progress into the status file and up the pipe."""
+    """An `rrm.training.jobs.Monitor`."""
 
     def __init__(self, lease: Lease, status: Status, curve: CurveWriter, pipe: Pipe, stop: StopRequest) -> None:
         self._lease = lease
@@ -33,7 +33,6 @@ class RunMonitor:
         self._written = time.monotonic()
 
     def restored(self, rows: Sequence[EvalRow]) -> None:
-        """Bring back evaluations that the curve has lost."""
         lost = [row for row in rows if row.step not in self._curve]
         if lost:
             self.note(f"{len(lost)} evaluations that {self._lease.folder.curve.name} lacks come from the checkpoint")
@@ -41,44 +40,36 @@ class RunMonitor:
                 self._curve.add(*(row.columns() for row in lost))
 
     def row(self, row: EvalRow) -> None:
-        """Add an evaluation to the curve; it is on disk when this returns."""
         values = row.columns()
         with self.writing():
             self._curve.add(values)
-        shown = {name: _finite(values[name]) for name in ("success", "true_return", "wall_s")}
-        self._update(rows=len(self._curve), step=row.step, steps_per_s=_finite(row.steps_per_s), **shown)
-        self._write()
+        shown = {name: _finite(values[name]) for name in ("success", "true_return", "wall_s", "steps_per_s")}
+        self._write(rows=len(self._curve), step=row.step, **shown)
         self._pipe.send(event="row", step=row.step, success=shown["success"], true_return=shown["true_return"])
 
     def beat(self, step: int, steps_per_s: float) -> None:
-        """Show a sign of life."""
-        self._update(step=step, steps_per_s=_finite(steps_per_s))
-        self._pipe.beat(step, steps_per_s)
+        speed = _finite(steps_per_s)
+        self._pipe.beat(step=step, steps_per_s=speed)
+        self.status = dataclasses.replace(self.status, step=step, steps_per_s=speed)
         if time.monotonic() - self._written >= HEARTBEAT_S:
             self._write()
 
     def note(self, message: str) -> None:
-        """Tell a person, in the log and at the terminal."""
         self._pipe.note(message)
 
     def should_stop(self) -> bool:
-        """True when the run should be checkpointed and left."""
         return self._stop.requested
 
     def writing(self) -> AbstractContextManager[None]:
-        """Around every write into the run's folder."""
         return self._lease.writing()
 
     def close(self, state: RunState) -> None:
         """Record how the attempt ended."""
-        self._update(state=state)
-        self._write()
+        self._write(state=state)
         say(f"--- {state} at step {self.status.step}")
 
-    def _update(self, **changes: Any) -> None:
+    def _write(self, **changes: Any) -> None:
         self.status = dataclasses.replace(self.status, **changes, heartbeat=time.time())
-
-    def _write(self) -> None:
         with self.writing():
             write_status(self._lease.folder, self.status)
         self._written = time.monotonic()

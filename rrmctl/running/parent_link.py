@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import json
 import math
 import os
@@ -11,7 +12,7 @@ import sys
 import threading
 import time
 from collections.abc import Iterator
-from types import FrameType, TracebackType
+from types import FrameType
 from typing import Any, Self
 
 from rrmctl.store.status import RunError
@@ -41,11 +42,7 @@ def say(text: str) -> None:
 
 
 class Pipe:
-    """The worker's end of the pipe: one JSON object per line, without ever waiting for the reader.
-
-    Args:
-        descriptor: where to write; None when nobody listens.
-    """
+    """The worker's end of the pipe, if there is one: a JSON object a line, without ever waiting for the reader."""
 
     def __init__(self, descriptor: int | None) -> None:
         self._descriptor = descriptor
@@ -55,18 +52,15 @@ class Pipe:
             os.set_blocking(descriptor, False)
             os.set_inheritable(descriptor, False)
 
-    def beat(self, step: int, steps_per_s: float) -> None:
+    def beat(self, event: str = "beat", **progress: Any) -> None:
         """A sign of life, a few times a second at the most."""
-        self._now_and_then(event="beat", step=step, steps_per_s=steps_per_s if math.isfinite(steps_per_s) else None)
-
-    def wait(self) -> None:
-        """A sign of life of a worker that waits for another process; as often."""
-        self._now_and_then(event="wait")
-
-    def _now_and_then(self, **message: Any) -> None:
         if time.monotonic() - self._last_beat >= _BEAT_S:
             self._last_beat = time.monotonic()
-            self.send(**message)
+            self.send(event=event, **progress)
+
+    def wait(self) -> None:
+        """A sign of life of a worker that waits for another process."""
+        self.beat("wait")
 
     def note(self, text: str) -> None:
         """Something a person should read; it is printed into the log as well."""
@@ -75,7 +69,7 @@ class Pipe:
 
     def error(self, error: RunError) -> None:
         """Why the worker leaves."""
-        self.send(event="error", kind=error.kind, type=error.type, message=error.message)
+        self.send(event="error", **dataclasses.asdict(error))
 
     def send(self, **message: Any) -> None:
         """Any message. It is dropped when the pipe is full: its reader sleeps, and the files tell the same."""
@@ -93,7 +87,7 @@ def _line(message: dict[str, Any]) -> bytes:
     """The message as one line, its longest text cut until the line is sure to arrive whole."""
     line = json.dumps(message).encode() + b"\n"
     while len(line) > _LINE:
-        name = max((name for name in message if isinstance(message[name], str)), key=lambda name: len(message[name]))
+        _, name = max((len(text), name) for name, text in message.items() if isinstance(text, str))
         message = message | {name: message[name][: len(message[name]) * 3 // 4]}
         line = json.dumps(message).encode() + b"\n"
     return line
@@ -104,18 +98,12 @@ class Leave(BaseException):
 
 
 class StopRequest:
-    """Set by SIGTERM, SIGINT, or the death of the parent. Used as a context, in the main thread.
-
-    Args:
-        parent: the process to watch; None when the worker was started by hand.
-        pipe: told why.
-    """
+    """Set by SIGTERM, SIGINT, or the death of the parent, if there is one. Used as a context, in the main thread."""
 
     def __init__(self, parent: int | None, pipe: Pipe) -> None:
         self._parent = parent
         self._pipe = pipe
-        self._requested = threading.Event()
-        self._left = threading.Event()
+        self._requested, self._left = threading.Event(), threading.Event()
         self._at_once = False
         self._watching: threading.Thread | None = None
         self._handlers: dict[signal.Signals, Any] = {}
@@ -145,9 +133,7 @@ class StopRequest:
             self._watching.start()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_exception: object) -> None:
         self._left.set()
         if self._watching is not None:
             self._watching.join()

@@ -14,7 +14,8 @@ from pathlib import Path
 from typing import Any
 
 from rrm.environ import environment
-from rrmctl.running.scheduler import Ending, Outcome
+from rrmctl.running.executor import Evaluated, Event, Note, Progress, Started, WorkOrder
+from rrmctl.running.scheduler import Outcome, Stage
 from rrmctl.running.worker import WorkerExit
 from rrmctl.store.files import storage_error
 from rrmctl.store.layout import Layout
@@ -28,7 +29,14 @@ _THREAD_VARIABLES = (
     "OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMEXPR_NUM_THREADS", "VECLIB_MAXIMUM_THREADS"
 )  # fmt: skip
 
+_ENDINGS: dict[int, Stage] = {
+    WorkerExit.DONE: Stage.DONE, WorkerExit.STOPPED: Stage.STOPPED, WorkerExit.LOCKED: Stage.ELSEWHERE
+}  # fmt: skip
 
+#: What messages say, by the name of their event; their other entries are its fields.
+_EVENTS: dict[str, Callable[..., Event]] = {"start": Started, "beat": Progress, "row": Evaluated, "note": Note}
+
+#: What is said of exit codes where the worker's message was lost, as the pipe was full.
 _UNHEARD: dict[int, tuple[ErrorKind, str]] = {
     WorkerExit.STORAGE: (ErrorKind.STORAGE, "the results folder took no write"),
     WorkerExit.REFUSED: (ErrorKind.REFUSED, "it cannot be run"),
@@ -36,65 +44,63 @@ _UNHEARD: dict[int, tuple[ErrorKind, str]] = {
     WorkerExit.MISSING: (ErrorKind.MISSING, "a file that it was planned with is not there"),
 }
 
-
 #: Signals that people and their tools send; the others come from what the process did itself.
 _SENT = frozenset({signal.SIGKILL, signal.SIGTERM, signal.SIGINT, signal.SIGHUP, signal.SIGQUIT})
 
 
 class Child:
-    """The worker of one run. Its output goes to the run's log.
+    """The worker of one run. Its output goes to the run's log; root, id and options are added to the command.
 
-    Args:
-        layout: the results root.
-        job: the run's id.
-        threads: it may use.
-        options: further arguments of the worker.
-        command: the program, to which root, id and options are added.
-        clock: of `heard`, in seconds.
-
-    Raises:
-        StorageError: the log cannot be opened.
-        OSError: the system starts no further process.
+    Raises StorageError where the log cannot be opened, and OSError where the system starts no further process.
     """
 
     def __init__(
         self,
         layout: Layout,
-        job: str,
+        order: WorkOrder,
         *,
-        threads: int,
-        options: Sequence[str] = (),
         command: Sequence[str] = WORKER,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        self.job = job
+        self.job = order.run
         self._clock = clock
         self.heard = clock()  #: when the last message arrived
-        self.error: RunError | None = None  #: as the worker told it
-        self.ended_for: RunError | None = None  #: why its parent ended it
         self.open = True  #: its pipe is
+        self._error: RunError | None = None  # as the worker told it
+        self._ended_for: RunError | None = None  # why its parent ended it
         self._text = b""  # of a line that is not complete
         self._memory_kills = _killed_for_memory()
-        reading, writing = os.pipe()
+        self._pipe, writing = os.pipe()
+        # Absolute: code of the user's may change the folder.
+        words = [*command, str(layout.root.absolute()), order.run, *order.options]
+        log = layout.run(order.run).log
         try:
-            # Absolute: code of the user's may change the folder.
-            order = [*command, str(layout.root.absolute()), job, *options]
-            self._process = _start(layout, job, order, writing, threads)
+            output = os.open(log, os.O_WRONLY | os.O_APPEND | os.O_CREAT | os.O_CLOEXEC, 0o666)
+        except OSError as error:
+            os.close(self._pipe)
+            os.close(writing)
+            raise storage_error(log, error) from error
+        try:
+            self._process = subprocess.Popen(
+                [*words, "--pipe", str(writing), "--parent", str(os.getpid())],
+                stdin=subprocess.DEVNULL, stdout=output, stderr=subprocess.STDOUT, pass_fds=(writing,),
+                start_new_session=True, env=worker_environment(order.threads),
+            )  # fmt: skip
         except BaseException:
-            os.close(reading)
+            os.close(self._pipe)
             raise
         finally:
             os.close(writing)
-        os.set_blocking(reading, False)
-        self._pipe = reading
+            os.close(output)
+        os.set_blocking(self._pipe, False)
 
     def fileno(self) -> int:
         """The descriptor that messages arrive on, for selectors."""
         return self._pipe
 
-    def messages(self) -> list[dict[str, Any]]:
+    def events(self) -> list[Event]:
         """What has arrived since the last call, whole lines only. Closes the pipe at its end."""
-        messages: list[dict[str, Any]] = []
+        events: list[Event] = []
         while self.open:
             try:
                 data = os.read(self._pipe, 65536)
@@ -105,8 +111,21 @@ class Child:
                 break
             self.heard = self._clock()
             *lines, self._text = (self._text + data).split(b"\n")
-            messages += map(_message, lines)
-        return messages
+            events += filter(None, map(self._event, lines))
+        return events
+
+    def _event(self, line: bytes) -> Event | None:
+        """What a line says; one that is no message is passed on for people to read rather than end the sweep."""
+        try:
+            message: Any = json.loads(line)
+        except ValueError:
+            message = None
+        match message:
+            case {"event": str(name), **fields} if name in _EVENTS:
+                return _EVENTS[name](self.job, **fields)  # type: ignore[arg-type]  # keys of JSON are texts
+            case {"event": "error", "kind": kind, "type": name, "message": text}:
+                self._error = RunError(kind=ErrorKind(kind), type=name, message=text)
+        return None if isinstance(message, dict) and "event" in message else Note(self.job, repr(line))
 
     def close(self) -> None:
         """Stop listening."""
@@ -151,8 +170,8 @@ class Child:
 
     def end(self, kind: ErrorKind, reason: str) -> None:
         """Kill it for this reason."""
-        if self.ended_for is None:
-            self.ended_for = RunError(kind=kind, type=kind.capitalize(), message=f"{reason} and was ended")
+        if self._ended_for is None:
+            self._ended_for = RunError(kind=kind, type=kind.capitalize(), message=f"{reason} and was ended")
             self.kill()
 
     def wait(self) -> None:
@@ -161,36 +180,28 @@ class Child:
         self.close()
 
     def outcome(self, *, stopping: bool) -> Outcome:
-        """How the attempt ended, once it has.
-
-        Args:
-            stopping: workers had been asked to leave, and may have been ended for taking too long.
-        """
+        """How the attempt ended, once it has; where `stopping`, it may have been ended for taking too long."""
         code = self._process.returncode
-        endings: dict[int, Ending] = {
-            WorkerExit.DONE: Ending.DONE, WorkerExit.STOPPED: Ending.STOPPED, WorkerExit.LOCKED: Ending.ELSEWHERE
-        }  # fmt: skip
-        if code in endings:
-            return Outcome(endings[code])
-        if self.error is None and stopping and -code in (signal.SIGKILL, signal.SIGTERM):
-            return Outcome(Ending.STOPPED)  # too slow to leave, or not begun; its last checkpoint holds
-        return Outcome(Ending.FAILED, self.error or self._unspoken(code))
+        if code in _ENDINGS:
+            return Outcome(_ENDINGS[code])
+        if self._error is None and stopping and -code in (signal.SIGKILL, signal.SIGTERM):
+            return Outcome(Stage.STOPPED)  # too slow to leave, or not begun; its last checkpoint holds
+        return Outcome(Stage.FAILED, self._error or self._ended_for or self._unspoken(code))
 
     def _unspoken(self, code: int) -> RunError:
         """Why a worker is gone that could not say so itself."""
-        if self.ended_for is not None:
-            return self.ended_for
-        if code in _UNHEARD:  # its message was lost, as the pipe was full
-            kind, told = _UNHEARD[code]
-            return RunError(kind=kind, type=kind.capitalize(), message=f"{told}; its log says more")
+        if code in _UNHEARD:
+            kind, reason = _UNHEARD[code]
+            return RunError(kind=kind, type=kind.capitalize(), message=f"{reason}; its log says more")
         if code >= 0:
             return RunError(kind=ErrorKind.CRASHED, type="Exit", message=f"left with exit code {code}")
-        kind, told = ErrorKind.CRASHED, f"killed by signal {-code}"
+        kind, reason = ErrorKind.CRASHED, f"killed by signal {-code}"
         if -code == signal.SIGKILL and _killed_for_memory() > self._memory_kills:
-            kind, told = ErrorKind.MEMORY, "killed by the system for want of memory"
+            kind, reason = ErrorKind.MEMORY, "killed by the system for want of memory"
         elif -code in _SENT:
-            kind, told = ErrorKind.KILLED, f"{told} from outside"
-        return RunError(kind=kind, type=_signal_name(-code), message=told)
+            kind, reason = ErrorKind.KILLED, f"{reason} from outside"
+        names = {number.value: number.name for number in signal.Signals}
+        return RunError(kind=kind, type=names.get(-code, f"signal {-code}"), message=reason)
 
 
 def _killed_for_memory() -> int:
@@ -202,37 +213,7 @@ def _killed_for_memory() -> int:
         return 0
 
 
-def _message(line: bytes) -> dict[str, Any]:
-    """A line from the pipe; one that is not a message is passed on for people to read rather than end the sweep."""
-    try:
-        message = json.loads(line)
-    except ValueError:
-        message = None
-    return message if isinstance(message, dict) and "event" in message else {"event": "note", "text": repr(line)}
-
-
 def worker_environment(threads: int, base: Mapping[str, str] = os.environ) -> dict[str, str]:
     """The environment of a worker: threads limited, and a log that can take any message, whatever the locale."""
     log = {"PYTHONUNBUFFERED": "1", "PYTHONIOENCODING": "utf-8:backslashreplace"}
     return environment(base) | dict.fromkeys(_THREAD_VARIABLES, str(threads)) | log
-
-
-def _start(layout: Layout, job: str, command: list[str], pipe: int, threads: int) -> subprocess.Popen[bytes]:
-    path = layout.run(job).log
-    try:
-        log = path.open("ab")
-    except OSError as error:
-        raise storage_error(path, error) from error
-    with log:
-        return subprocess.Popen(
-            [*command, "--pipe", str(pipe), "--parent", str(os.getpid())],
-            stdin=subprocess.DEVNULL, stdout=log, stderr=subprocess.STDOUT, pass_fds=(pipe,),
-            start_new_session=True, env=worker_environment(threads),
-        )  # fmt: skip
-
-
-def _signal_name(number: int) -> str:
-    try:
-        return signal.Signals(number).name
-    except ValueError:
-        return f"signal {number}"

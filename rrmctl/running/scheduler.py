@@ -13,32 +13,22 @@ from rrmctl.store.status import ErrorKind, RunError
 
 
 class Stage(StrEnum):
-    """Where a job stands in this process' eyes."""
+    """Where a job stands in this process' eyes; the last five are also how an attempt can end."""
 
     WAITING = "waiting"
     RUNNING = "running"
     ELSEWHERE = "elsewhere"  #: another process owns it; it will be done, or free again
     DONE = "done"
-    FAILED = "failed"
+    FAILED = "failed"  #: see the error
     STOPPED = "stopped"  #: left in good order before its end; a later command goes on with it
     BLOCKED = "blocked"  #: one that it needs has failed
-
-
-class Ending(StrEnum):
-    """How an attempt ended."""
-
-    DONE = "done"
-    STOPPED = "stopped"  #: checkpointed and left
-    FAILED = "failed"  #: see the error
-    ELSEWHERE = "elsewhere"  #: it did not begin: another process owns the run
-    BLOCKED = "blocked"  #: it did not begin: a run that it needs has failed
 
 
 @dataclass(frozen=True)
 class Outcome:
     """The end of one attempt."""
 
-    ending: Ending
+    ending: Stage
     error: RunError | None = None  #: of one that failed or is blocked
 
 
@@ -68,31 +58,31 @@ class Scheduler:
         requires: Mapping[str, Collection[str]] = MappingProxyType({}),
     ) -> None:
         self._queue: deque[str] = deque(jobs)
-        self._phase = dict.fromkeys(self._queue, Stage.WAITING)
-        self._requires = {job: [each for each in needed if each in self._phase] for job, needed in requires.items()}
+        self._stages = dict.fromkeys(self._queue, Stage.WAITING)
+        self._requires = {job: [run for run in needed if run in self._stages] for job, needed in requires.items()}
         self._slots = slots
         self._retries = retries
         self._crashes: Counter[str] = Counter()
         self._kills: Counter[str] = Counter()
         self._rows: dict[str, int] = {}
+        self._running: set[str] = set()
         self._elsewhere: set[str] = set()
-        self._running = 0
         self.stopping = False  #: nothing starts any more
 
     def next(self) -> str | None:
         """The job that may start now; None while every slot is taken or nothing waits but for others."""
-        if self.stopping or self._running >= self._slots:
+        if self.stopping or len(self._running) >= self._slots:
             return None
         return next(filter(self._ready, self._queue), None)
 
     def _ready(self, job: str) -> bool:
-        return all(self._phase[needed] is Stage.DONE for needed in self._requires.get(job, ()))
+        return all(self._stages[needed] is Stage.DONE for needed in self._requires.get(job, ()))
 
     def start(self, job: str) -> None:
         """The job `next` named is running."""
         self._queue.remove(job)
-        self._phase[job] = Stage.RUNNING
-        self._running += 1
+        self._running.add(job)
+        self._stages[job] = Stage.RUNNING
 
     def resumed(self, job: str, rows: int) -> None:
         """The attempt began with so many evaluations; more than the one before it forgives earlier crashes."""
@@ -104,25 +94,51 @@ class Scheduler:
         """An attempt ended: a running one, one that ran elsewhere, or one that need not start at all.
 
         Returns:
-            The job's new phase; `waiting` means that it will be tried again.
+            The job's new stage; `waiting` means that it will be tried again.
         """
-        ran_here = self._phase[job] is Stage.RUNNING
+        stage = outcome.ending
+        if stage is Stage.FAILED and job in self._running:  # elsewhere it was tried as often as it should be
+            stage = self._after_failure(job, outcome.error)
         self._leave(job)
-        self._enter(job, self._after(job, outcome, ran_here=ran_here))
-        return self._phase[job]
+        self._stages[job] = stage
+        if stage is Stage.WAITING:
+            self._queue.append(job)  # behind the others: what crashed one job may be gone by then
+        elif stage is Stage.ELSEWHERE:
+            self._elsewhere.add(job)
+        return stage
+
+    def _after_failure(self, job: str, error: RunError | None) -> Stage:
+        assert error is not None  # a failure says why
+        if error.kind is ErrorKind.STORAGE:
+            self.stop()  # whatever starts next would meet the same folder
+        if error.kind in (ErrorKind.STORAGE, ErrorKind.MISSING, ErrorKind.WAITING):
+            return Stage.STOPPED  # others may have what they need
+        if error.kind not in RETRIED:
+            return Stage.FAILED
+        killed = error.kind is ErrorKind.KILLED
+        count, most = (self._kills, KILLED_RETRIES * self._retries) if killed else (self._crashes, self._retries)
+        count[job] += 1
+        return Stage.FAILED if count[job] > most else Stage.WAITING
+
+    def _leave(self, job: str) -> None:
+        for place in (self._running, self._elsewhere, self._queue):
+            if job in place:
+                place.remove(job)
+                return
+        raise ValueError(f"job {job} has ended already")
 
     def block(self, failed: str) -> list[str]:
         """The jobs that can no longer start since this one failed, those that need them included."""
         blocked = [job for job in self._queue if failed in self._requires.get(job, ())]
         for job in blocked:
             self._queue.remove(job)
-            self._phase[job] = Stage.BLOCKED
+            self._stages[job] = Stage.BLOCKED
         return blocked + [further for job in blocked for further in self.block(job)]
 
     def free(self, job: str) -> None:
         """A job that ran elsewhere was given up there, or could not be started: it is the next to start here."""
         self._leave(job)
-        self._phase[job] = Stage.WAITING
+        self._stages[job] = Stage.WAITING
         self._queue.appendleft(job)
 
     def stop(self) -> None:
@@ -141,63 +157,13 @@ class Scheduler:
         """Jobs that other processes own."""
         return sorted(self._elsewhere)
 
-    def phase(self, job: str) -> Stage:
-        """Where a job stands."""
-        return self._phase[job]
-
     def counts(self) -> Counter[Stage]:
-        """Jobs by phase."""
-        return Counter(self._phase.values())
+        """Jobs by stage."""
+        return Counter(self._stages.values())
 
     def exit_code(self) -> Exit:
         """What the command leaves with: incomplete while there is more to do, else failed if anything failed."""
         counts = self.counts()
-        if counts[Stage.DONE] + counts[Stage.FAILED] + counts[Stage.BLOCKED] < len(self._phase):
+        if counts[Stage.DONE] + counts[Stage.FAILED] + counts[Stage.BLOCKED] < len(self._stages):
             return Exit.INCOMPLETE
         return Exit.FAILED if counts[Stage.FAILED] else Exit.DONE
-
-    def _after(self, job: str, outcome: Outcome, *, ran_here: bool) -> Stage:
-        match outcome.ending:
-            case Ending.DONE:
-                return Stage.DONE
-            case Ending.STOPPED:
-                return Stage.STOPPED
-            case Ending.ELSEWHERE:
-                return Stage.ELSEWHERE
-            case Ending.BLOCKED:
-                return Stage.BLOCKED
-            case Ending.FAILED:
-                # Elsewhere it was tried as often as it should be.
-                return self._after_failure(job, outcome.error) if ran_here else Stage.FAILED
-
-    def _after_failure(self, job: str, error: RunError | None) -> Stage:
-        assert error is not None  # a failure says why
-        if error.kind is ErrorKind.STORAGE:
-            self.stop()  # whatever starts next would meet the same folder
-            return Stage.STOPPED
-        if error.kind in (ErrorKind.MISSING, ErrorKind.WAITING):
-            return Stage.STOPPED  # others may have what they need
-        if error.kind not in RETRIED:
-            return Stage.FAILED
-        killed = error.kind is ErrorKind.KILLED
-        count, most = (self._kills, KILLED_RETRIES * self._retries) if killed else (self._crashes, self._retries)
-        count[job] += 1
-        return Stage.FAILED if count[job] > most else Stage.WAITING
-
-    def _enter(self, job: str, phase: Stage) -> None:
-        self._phase[job] = phase
-        if phase is Stage.WAITING:
-            self._queue.append(job)  # behind the others: what crashed one job may be gone by then
-        elif phase is Stage.ELSEWHERE:
-            self._elsewhere.add(job)
-
-    def _leave(self, job: str) -> None:
-        match self._phase[job]:
-            case Stage.RUNNING:
-                self._running -= 1
-            case Stage.ELSEWHERE:
-                self._elsewhere.discard(job)
-            case Stage.WAITING:
-                self._queue.remove(job)
-            case _:
-                raise ValueError(f"job {job} has ended already")

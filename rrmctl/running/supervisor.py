@@ -11,18 +11,18 @@ import json
 import signal
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from typing import Protocol
 
 from rrmctl.errors import Exit, UserError
 from rrmctl.running.executor import Ended, Evaluated, Event, Executor, Note, Progress, Started, WorkOrder
-from rrmctl.running.scheduler import Ending, Outcome, Scheduler, Stage
+from rrmctl.running.scheduler import Outcome, Scheduler, Stage
 from rrmctl.store.files import StorageError
 from rrmctl.store.layout import Layout
 from rrmctl.store.owner import LEASE_S, Beat, Watch, is_owned
-from rrmctl.store.reader import blocked_by, run_status
-from rrmctl.store.status import ErrorKind, RunError, RunState, Status, record_failure
+from rrmctl.store.status import ErrorKind, RunError, RunState, Status, blocked_by, record_failure, run_status
+from rrmctl.store.sweeps import Job
 from rrmctl.suspend_clock import WakingTime
 
 #: Longest wait between two looks at what there is to do, seconds.
@@ -36,52 +36,36 @@ _POLL_S = 1.0
 
 
 @dataclass(frozen=True, kw_only=True)
-class Assignment:
-    """A run the pool should see to its end."""
+class Terms:
+    """How one of the jobs is to be run."""
 
-    id: str
-    label: str  #: for people
-    steps: int = 0  #: of the whole run
     threads: int = 1
     attempt: int = 0  #: of its status when the command was given; a higher one later was somebody else's
     fresh: bool = False  #: remove what the run holds and start from nothing
-    requires: Sequence[str] = ()  #: runs that must be done before it
 
 
 class Watcher(Protocol):
     """Who is told what happens; see `rrmctl.cli.live`."""
 
-    def started(self, job: str, attempt: int) -> None:
-        """A worker took the run up."""
-
-    def beat(self, job: str, step: int, steps_per_s: float | None) -> None:
-        """Progress in environment steps."""
-
-    def row(self, job: str, step: int, success: float | None, true_return: float | None) -> None:
-        """An evaluation."""
-
-    def note(self, job: str, text: str) -> None:
-        """Something a person should read."""
-
-    def ended(self, job: str, outcome: Outcome, phase: Stage) -> None:
-        """An attempt ended; `phase` says what becomes of the job."""
-
-    def stopping(self, workers: int, wait_s: float) -> None:
-        """Workers were asked to checkpoint and leave."""
-
-    def tick(self) -> None:
-        """Called several times a second."""
+    def started(self, job: str, attempt: int) -> None: ...  #: a worker took the run up
+    def beat(self, job: str, step: int, steps_per_s: float | None) -> None: ...  #: environment steps
+    def row(self, job: str, step: int, success: float | None, true_return: float | None) -> None: ...  #: an evaluation
+    def note(self, job: str, text: str) -> None: ...  #: something a person should read
+    def ended(self, job: str, outcome: Outcome, phase: Stage) -> None: ...  #: an attempt; `phase`: of the job from now
+    def stopping(self, workers: int, wait_s: float) -> None: ...  #: they were asked to checkpoint and leave
+    def tick(self) -> None: ...  #: several times a second
 
 
 @dataclass(kw_only=True)
 class Supervisor:
-    """Runs assignments, `slots` at a time."""
+    """Runs jobs, `slots` at a time."""
 
     layout: Layout
-    assignments: Sequence[Assignment]
+    jobs: Sequence[Job]
     slots: int
     watcher: Watcher
     executor: Executor
+    terms: Mapping[str, Terms] = field(default_factory=dict)  #: by id; where they are not the usual ones
     retries: int = 2
     lease_s: float = LEASE_S  #: silence after which the runs of other processes are taken over
     stop_after_s: float = 60.0  #: time a worker has to checkpoint and leave
@@ -96,18 +80,14 @@ class Supervisor:
     _looked: float = field(default=0.0, init=False)  #: when runs of other processes were last looked at
 
     def __post_init__(self) -> None:
-        self._jobs = {assignment.id: assignment for assignment in self.assignments}
+        self._terms = {job.id: self.terms.get(job.id, Terms()) for job in self.jobs}
         self._watch = Watch(self.lease_s, self._waking)
-        requires = {assignment.id: assignment.requires for assignment in self.assignments if assignment.requires}
-        self.scheduler = Scheduler(self._jobs, slots=self.slots, retries=self.retries, requires=requires)
+        requires = {job.id: job.requires for job in self.jobs if job.requires}
+        self.scheduler = Scheduler(self._terms, slots=self.slots, retries=self.retries, requires=requires)
 
     def run(self) -> Exit:
-        """See every job to its end, or to a good place to stop.
-
-        Returns:
-            `DONE`, `FAILED`, `INCOMPLETE`, or `INTERRUPTED` after a second signal.
-        """
-        with _signals_to(self._on_signal):
+        """See every job to its end, or to a good place to stop; `INTERRUPTED` after a second signal."""
+        with self._heeding_signals():
             try:
                 while not self.scheduler.finished:
                     self._look_elsewhere()
@@ -122,20 +102,36 @@ class Supervisor:
             finally:
                 self.executor.close()
 
+    @contextlib.contextmanager
+    def _heeding_signals(self) -> Iterator[None]:
+        """Count SIGINT and SIGTERM. Main thread only: Python allows handlers nowhere else."""
+
+        def count(_number: int, _frame: object) -> None:
+            self._signals += 1
+
+        main = threading.current_thread() is threading.main_thread()
+        numbers = (signal.SIGINT, signal.SIGTERM) if main else ()
+        before = {number: signal.signal(number, count) for number in numbers}
+        try:
+            yield
+        finally:
+            for number, handler in before.items():
+                signal.signal(number, handler)
+
     def _start_waiting(self) -> None:
         if time.monotonic() < self._start_at:
             return
         while (job := self.scheduler.next()) is not None:
-            assignment, status = self._jobs[job], run_status(self.layout.run(job))
-            settled = None if job in self._launched else _settled(assignment, status)
+            status = run_status(self.layout.run(job))
+            settled = None if job in self._launched else self._settled(job, status)
             if status.state is RunState.RUNNING and job not in self._silent:
-                settled = Outcome(Ending.ELSEWHERE)
+                settled = Outcome(Stage.ELSEWHERE)
             if settled is not None:
                 self._conclude(job, settled)
                 continue
             self.scheduler.start(job)
             try:
-                self._launch(assignment)
+                self._launch(job)
             except StorageError as error:
                 self._conclude(job, _failure(ErrorKind.STORAGE, "StorageError", str(error)))
             except OSError as error:
@@ -155,14 +151,14 @@ class Supervisor:
         self.watcher.note(job, f"no process can be started: {error.strerror}; trying again in {pause:.0f} s")
         self._start_at = time.monotonic() + pause
 
-    def _launch(self, assignment: Assignment) -> None:
-        options = ["--asked", json.dumps(list(self.asked))]
-        if assignment.fresh:
-            options += ["--fresh", str(assignment.attempt)]
-        if (beat := self._silent.pop(assignment.id, None)) is not None:
+    def _launch(self, job: str) -> None:
+        terms, options = self._terms[job], ["--asked", json.dumps(list(self.asked))]
+        if terms.fresh:
+            options += ["--fresh", str(terms.attempt)]
+        if (beat := self._silent.pop(job, None)) is not None:
             options += ["--take-over", f"{beat.owner}:{beat.count}"]
-        self.executor.submit(WorkOrder(run=assignment.id, threads=assignment.threads, options=tuple(options)))
-        self._launched.add(assignment.id)
+        self.executor.submit(WorkOrder(run=job, threads=terms.threads, options=tuple(options)))
+        self._launched.add(job)
 
     def _look_elsewhere(self) -> None:
         """Take over runs that other processes gave up, and take note of those they finished."""
@@ -171,21 +167,23 @@ class Supervisor:
         self._looked = time.monotonic()
         for job in self.scheduler.elsewhere:
             folder = self.layout.run(job)
-            settled = _settled(self._jobs[job], run_status(folder))
+            settled = self._settled(job, run_status(folder))
             if settled is not None:
                 self._conclude(job, settled)
-            elif is_owned(folder):
-                self._take_over(job)
-            else:
+            elif not is_owned(folder):
+                self.scheduler.free(job)
+            elif (beat := self._watch.expired(folder)) is not None:  # each time that a lease has passed
+                self.watcher.note(job, f"its owner gave no sign of life for {self.lease_s:g} s; trying to take it over")
+                self._silent[job] = beat
                 self.scheduler.free(job)
 
-    def _take_over(self, job: str) -> None:
-        """Queue a run whose owner gives no sign of life any more: each time that a lease has passed."""
-        beat = self._watch.expired(self.layout.run(job))
-        if beat is not None:
-            self.watcher.note(job, f"its owner gave no sign of life for {self.lease_s:g} s; trying to take it over")
-            self._silent[job] = beat
-            self.scheduler.free(job)
+    def _settled(self, job: str, status: Status) -> Outcome | None:
+        """How a run ended in another process' hands since the command was given; None if there is work left."""
+        if status.attempt <= self._terms[job].attempt:
+            return None
+        if status.state is RunState.DONE:
+            return Outcome(Stage.DONE)
+        return Outcome(Stage.FAILED, status.error) if status.state is RunState.FAILED else None
 
     def _heed(self, event: Event) -> None:
         match event:
@@ -198,11 +196,11 @@ class Supervisor:
                 self.watcher.row(*event)
             case Note():
                 self.watcher.note(*event)
-            case Ended():
-                self._conclude(event.run, self._checked(event))
-
-    def _on_signal(self) -> None:
-        self._signals += 1
+            case Ended(run, outcome):
+                # Some library may end the process with exit code 0: only the status says done.
+                if outcome.ending is Stage.DONE and run_status(self.layout.run(run)).state is not RunState.DONE:
+                    outcome = _failure(ErrorKind.CRASHED, "Exit", "left with exit code 0 before its end")
+                self._conclude(run, outcome)
 
     def _obey(self) -> None:
         """Act on signals that have arrived, outside their handlers; and on workers that take too long to leave."""
@@ -214,12 +212,6 @@ class Supervisor:
         if self._kill_at is not None and self._waking() > self._kill_at:
             self.executor.stop(now=True)
 
-    def _checked(self, ended: Ended) -> Outcome:
-        """How an attempt ended. Some library may end the process with exit code 0: only the status says done."""
-        if ended.outcome.ending is Ending.DONE and run_status(self.layout.run(ended.run)).state is not RunState.DONE:
-            return _failure(ErrorKind.CRASHED, "Exit", "left with exit code 0 before its end")
-        return ended.outcome
-
     def _conclude(self, job: str, outcome: Outcome) -> None:
         phase = self.scheduler.end(job, outcome)
         if phase is Stage.FAILED and outcome.error is not None:
@@ -230,33 +222,8 @@ class Supervisor:
         self.watcher.ended(job, outcome, phase)
         if phase is Stage.FAILED:
             for blocked in self.scheduler.block(job):
-                self.watcher.ended(blocked, Outcome(Ending.BLOCKED, blocked_by(job, outcome.error)), Stage.BLOCKED)
-
-
-def _settled(assignment: Assignment, status: Status) -> Outcome | None:
-    """How a run ended in another process' hands since the command was given; None if there is work left."""
-    if status.attempt <= assignment.attempt:
-        return None
-    if status.state is RunState.DONE:
-        return Outcome(Ending.DONE)
-    if status.state is RunState.FAILED:
-        return Outcome(Ending.FAILED, status.error)
-    return None
+                self.watcher.ended(blocked, Outcome(Stage.BLOCKED, blocked_by(job, outcome.error)), Stage.BLOCKED)
 
 
 def _failure(kind: ErrorKind, name: str, message: str) -> Outcome:
-    return Outcome(Ending.FAILED, RunError(kind=kind, type=name, message=message))
-
-
-@contextlib.contextmanager
-def _signals_to(handler: Callable[[], None]) -> Iterator[None]:
-    """Call `handler` on SIGINT and SIGTERM. Main thread only: Python allows handlers nowhere else."""
-    before: dict[signal.Signals, Any] = {}
-    if threading.current_thread() is threading.main_thread():
-        for number in (signal.SIGINT, signal.SIGTERM):
-            before[number] = signal.signal(number, lambda _number, _frame: handler())
-    try:
-        yield
-    finally:
-        for number, old in before.items():
-            signal.signal(number, old)
+    return Outcome(Stage.FAILED, RunError(kind=kind, type=name, message=message))

@@ -2,7 +2,7 @@
 
     python -m rrmctl.running.worker RESULTS RUN [--fresh ATTEMPT] [--pipe FD] [--parent PID] [--asked JSON]
 
-Nothing heavy is imported before the run's lock is held, so that losing the race for a run costs little.
+Neither torch nor a simulator is imported before the run's lock is held: losing the race for a run costs little.
 """
 
 from __future__ import annotations
@@ -27,13 +27,14 @@ from rrmctl.running.config_file import MissingFileError, load_config
 from rrmctl.running.monitor import RunMonitor
 from rrmctl.running.parent_link import Leave, Pipe, StopRequest, say
 from rrmctl.store import files, provenance
+from rrmctl.store.curve import CurveWriter
 from rrmctl.store.layout import Layout, RunFolder
 from rrmctl.store.lease import Lease, LeaseLostError
+from rrmctl.store.locks import PATIENCE_S
 from rrmctl.store.owner import Beat
-from rrmctl.store.reader import read_config
+from rrmctl.store.provenance import read_config
 from rrmctl.store.schema import IDENTITY
 from rrmctl.store.status import ErrorKind, RunError, RunState, Status, read_status, write_status
-from rrmctl.store.writer import CurveWriter
 from rrmctl.terminal import attend
 
 if TYPE_CHECKING:
@@ -75,28 +76,24 @@ def main(argv: Sequence[str] | None = None, trainer: Trainable | None = None) ->
         try:
             read_config(folder)
             with stop.at_once():
-                lease = Lease.take(folder, patience_s=files.PATIENCE_S, stale=given.take_over, waiting=pipe.wait)
+                lease = Lease.take(folder, patience_s=PATIENCE_S, stale=given.take_over, waiting=pipe.wait)
         except Leave:
             return WorkerExit.STOPPED
         except UserError as error:
             return _report(folder, error, pipe)[0]
-        return WorkerExit.LOCKED if lease is None else _own(lease, given, pipe, stop, trainer)
-
-
-def _own(
-    lease: Lease, given: argparse.Namespace, pipe: Pipe, stop: StopRequest, trainer: Trainable | None
-) -> WorkerExit:
-    try:
-        return _attempt(lease, given, pipe, stop, trainer)
-    except LeaseLostError as error:
-        say(f"--- {error}; what was done here since the last write is discarded")
-        return WorkerExit.LOCKED
-    except Exception as error:
-        code, reason = _report(lease.folder, error, pipe)
-        _record_failure(lease, reason)
-        return code
-    finally:
-        lease.release()
+        if lease is None:
+            return WorkerExit.LOCKED
+        try:
+            return _attempt(lease, given, pipe, stop, trainer)
+        except LeaseLostError as error:
+            say(f"--- {error}; what was done here since the last write is discarded")
+            return WorkerExit.LOCKED
+        except Exception as error:
+            code, reason = _report(folder, error, pipe)
+            _record_failure(lease, reason)
+            return code
+        finally:
+            lease.release()
 
 
 def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
@@ -141,7 +138,10 @@ def _attempt(
             identity = {"run": folder.id, **{name: stored[name] for name in IDENTITY if name != "run"}}
             with lease.writing():  # what is damaged is set aside
                 curve = _healed(folder.curve, pipe, lambda: CurveWriter(folder, identity))
-                finished = _finished(folder, curve, config)
+                # Its worker may have died between its end and saying so: the last row and the networks are there.
+                finished = curve.last_step == config.steps and folder.model.exists()
+                if finished and folder.checkpoint.exists():
+                    shutil.rmtree(folder.checkpoint)
             if not finished:
                 trainer = trainer or _library(config.threads)
                 facts = provenance.collect(stored, trainer.fingerprint(config), given.asked, status.attempt)
@@ -165,15 +165,6 @@ def _attempt(
     return WorkerExit.DONE
 
 
-def _finished(folder: RunFolder, curve: CurveWriter, config: JobConfig) -> bool:
-    """True for a run whose worker died between its end and saying so: the last row and the networks are there."""
-    if curve.last_step != config.steps or not folder.model.exists():
-        return False
-    if folder.checkpoint.exists():
-        shutil.rmtree(folder.checkpoint)
-    return True
-
-
 def _healed(path: Path, pipe: Pipe, read: Callable[[], _T]) -> _T:
     """What `read` makes of a file. A damaged one is set aside: other files of the run tell the same."""
     try:
@@ -191,17 +182,11 @@ def _take_up(folder: RunFolder, before: Status, *, fresh: bool) -> Status:
 
     The wish is written before anything is removed, so that a worker that dies in between leaves no half of a run.
     """
+    now = time.time()
     status = dataclasses.replace(
-        before,
-        state=RunState.RUNNING,
-        attempt=before.attempt + 1,
-        pid=os.getpid(),
-        host=socket.gethostname(),
-        started=time.time(),
-        heartbeat=time.time(),
-        discard=before.discard or fresh,
-        error=None,
-    )
+        before, state=RunState.RUNNING, attempt=before.attempt + 1, pid=os.getpid(), host=socket.gethostname(),
+        started=now, heartbeat=now, discard=before.discard or fresh, error=None,
+    )  # fmt: skip
     write_status(folder, status)
     if not status.discard:
         return status
@@ -229,7 +214,10 @@ def _library(threads: int) -> Trainable:
 
 def _report(folder: RunFolder, error: Exception, pipe: Pipe) -> tuple[WorkerExit, RunError]:
     """Tell the log and the parent why the worker leaves."""
-    code, reason = _reason(folder, error)
+    if isinstance(error, OSError) and error.errno in files.STORAGE_ERRNOS:
+        error = files.storage_error(Path(error.filename or folder.path), error, "read or write")
+    code, kind, message = _reason(folder, error)
+    reason = RunError(kind=kind, type=type(error).__name__, message=message)
     _log("".join(traceback.format_exception(error)) if code is WorkerExit.CRASHED else f"--- {reason}\n")
     pipe.error(reason)
     return code, reason
@@ -247,29 +235,24 @@ def _record_failure(lease: Lease, reason: RunError) -> None:
         _log(f"--- the status could not be recorded: {problem}\n")
 
 
-def _reason(folder: RunFolder, error: Exception) -> tuple[WorkerExit, RunError]:
+def _reason(folder: RunFolder, error: Exception) -> tuple[WorkerExit, ErrorKind, str]:
     from rrm.errors import MissingResultError, RrmError, WaitingError
 
-    if isinstance(error, OSError) and error.errno in files.STORAGE_ERRNOS:
-        error = files.storage_error(Path(error.filename or folder.path), error, "read or write")
-    name = type(error).__name__
-    if isinstance(error, files.StorageError):
-        message = f"{error} ({error.todo}, then `{rrmctl('resume', results=folder.results)}` goes on)"
-        return WorkerExit.STORAGE, RunError(kind=ErrorKind.STORAGE, type=name, message=message)
-    if isinstance(error, WaitingError):
-        return WorkerExit.WAITING, RunError(kind=ErrorKind.WAITING, type=name, message=str(error))
-    if isinstance(error, MissingFileError):
-        return WorkerExit.MISSING, RunError(kind=ErrorKind.MISSING, type=name, message=_told(error))
-    if isinstance(error, UserError | RrmError):
-        others = isinstance(error, files.DamagedError | MissingResultError)
-        kind = ErrorKind.DAMAGED if others else ErrorKind.REFUSED
-        return WorkerExit.REFUSED, RunError(kind=kind, type=name, message=_told(error))
-    return WorkerExit.CRASHED, RunError(kind=ErrorKind.CRASHED, type=name, message=str(error))
-
-
-def _told(error: Exception) -> str:
     hint = getattr(error, "hint", None)
-    return f"{error} ({hint})" if hint else str(error)
+    message = f"{error} ({hint})" if hint else str(error)
+    match error:
+        case files.StorageError():
+            message = f"{error} ({error.todo}, then `{rrmctl('resume', results=folder.results)}` goes on)"
+            return WorkerExit.STORAGE, ErrorKind.STORAGE, message
+        case WaitingError():
+            return WorkerExit.WAITING, ErrorKind.WAITING, str(error)
+        case MissingFileError():
+            return WorkerExit.MISSING, ErrorKind.MISSING, message
+        case files.DamagedError() | MissingResultError():  # others make it again
+            return WorkerExit.REFUSED, ErrorKind.DAMAGED, message
+        case UserError() | RrmError():
+            return WorkerExit.REFUSED, ErrorKind.REFUSED, message
+    return WorkerExit.CRASHED, ErrorKind.CRASHED, str(error)
 
 
 def _log(text: str) -> None:

@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 Floats = npt.NDArray[np.float64]
+Steps = npt.NDArray[np.int64]
 
 #: Which interquartile mean. `rliable` drops floor(n / 4) whole runs at each end, as rliable and scipy's `trim_mean` do
 #: (of ten runs the middle six remain); `exact` weighs the two runs that straddle a quartile by the share inside it (of
@@ -35,12 +36,11 @@ def iqm(scores: npt.ArrayLike, kind: IqmKind = "rliable", *, axis: int | None = 
         ValueError: no scores, a score that is not finite, or an unknown kind.
     """
     values = checked(scores, axis)
-    ordered = np.sort(values, axis=-1)
-    weights = iqm_weights(ordered.shape[-1], kind)
+    weights = iqm_weights(values.shape[-1], kind)
     used = np.flatnonzero(weights)
     inside = slice(used[0], used[-1] + 1)
     # Dividing by the sum at the end keeps saturated scores exactly saturated: the weights are multiples of 1/4.
-    return np.asarray((ordered[..., inside] * weights[inside]).sum(axis=-1) / weights.sum())
+    return np.asarray((np.sort(values, axis=-1)[..., inside] * weights[inside]).sum(axis=-1) / weights.sum())
 
 
 @dataclass(frozen=True)
@@ -54,11 +54,7 @@ class Iqm:
 
 
 def iqm_weights(n: int, kind: IqmKind) -> Floats:
-    """Weight of each of `n` ordered runs, float64 [n], not normalised.
-
-    Raises:
-        ValueError: `n` is below one, or the kind is unknown.
-    """
+    """Weight of each of `n` ordered runs, float64 [n], not normalised."""
     low, high = iqm_window(n, kind)
     place = np.arange(n, dtype=np.float64)
     inside: Floats = np.minimum(place + 1, high) - np.maximum(place, low)
@@ -66,11 +62,7 @@ def iqm_weights(n: int, kind: IqmKind) -> Floats:
 
 
 def iqm_window(n: int, kind: IqmKind) -> tuple[float, float]:
-    """Where the mean begins and ends when each of `n` ordered runs takes up a length of one; multiples of 1/4.
-
-    Raises:
-        ValueError: `n` is below one, or the kind is unknown.
-    """
+    """Where the mean begins and ends when each of `n` ordered runs takes up a length of one; multiples of 1/4."""
     if n < 1:
         raise ValueError("an interquartile mean needs at least one score")
     if kind == "rliable":
@@ -111,11 +103,7 @@ def quartiles(scores: npt.ArrayLike, *, axis: int | None = None) -> tuple[Floats
 
 
 def checked(scores: npt.ArrayLike, axis: int | None = None) -> Floats:
-    """The scores as float64 with the runs on the last axis.
-
-    Raises:
-        ValueError: there are none along the axis, or one is not finite.
-    """
+    """The scores as float64 with the runs on the last axis; refused where there are none or one is not finite."""
     values = np.asarray(scores, dtype=np.float64)
     values = values.reshape(-1) if axis is None else np.moveaxis(values, axis, -1)
     if values.shape[-1] == 0:

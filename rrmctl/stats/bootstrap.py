@@ -3,25 +3,30 @@
 Within each task whole runs are drawn with replacement, independently of the other tasks, and the statistic is taken
 of all of them pooled (Agarwal et al. 2021, as in rliable). A run is drawn with its whole curve, so that the replicates
 of neighbouring steps belong together and the area under the curve has an interval too.
+
+The percentile interval takes the replicates' quantiles at 2.5 % and 97.5 %. BCa (Efron 1987, docs/statistics.md) moves
+these levels: by how far the estimate lies from the replicates' median, and by how fast the spread of the statistic
+changes with its value, which is read from the estimates without one run each. It needs a statistic that changes
+smoothly with the runs: means and interquartile means, not medians.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from statistics import NormalDist
 from typing import Literal, get_args
 
 import numpy as np
 import numpy.typing as npt
 
 from rrmctl.stats.aggregate import Floats, Iqm, checked
-from rrmctl.stats.bca import bca_levels, left_out, quantiles_at
-from rrmctl.stats.counting import Picks, count_draws, iqm_replicates
+from rrmctl.stats.counting import count_draws, iqm_replicates
 
 #: Reduces the last axis, which holds the runs. Any function will do; of an `Iqm` the replicates come much quicker.
 Statistic = Callable[[Floats], Floats]
 
-#: How an interval is read off the replicates: their quantiles, or with the levels of `rrmctl.stats.bca`.
+#: How an interval is read off the replicates: their quantiles at the usual levels, or at those of BCa.
 IntervalKind = Literal["percentile", "bca"]
 
 #: Fewer runs than this in any stratum say nothing about spread; such an estimate gets no interval.
@@ -40,6 +45,10 @@ class Estimate:
     high: Floats
     n: int  #: runs, over all strata
     method: str  #: how the interval was made, or why there is none
+
+    def row(self, name: str, ends: str = "") -> dict[str, float]:
+        """A single number by this name, and its interval's ends, whose names begin with another."""
+        return {name: float(self.estimate), f"{ends}low": float(self.low), f"{ends}high": float(self.high)}
 
     def noting(self, remark: str) -> Estimate:
         """The same, its method followed by a remark."""
@@ -101,20 +110,6 @@ def estimate(point: npt.ArrayLike, draws: Floats | None, *, n: int, level: float
     return Estimate(value, np.asarray(low), np.asarray(high), n, method)
 
 
-def _bias_corrected(found: Estimate, draws: Floats, levels: Floats) -> Estimate:
-    """The percentile estimate with its ends moved to these levels [2, ...], where there are any."""
-    known = np.isfinite(levels).all(axis=0)
-    low, high = np.where(known, quantiles_at(draws, np.where(known, levels, 0.5)), (found.low, found.high))
-    method = found.method.replace("percentile", "BCa")
-    if known.all():
-        return replace(found, low=low, high=high, method=method)
-    why = "BCa is not defined: all replicates on one side of it, or no run that makes a difference"
-    if not known.any():
-        return found.noting(why)
-    apart = f"percentile for {known.size - known.sum()} of {known.size} numbers where {why}"
-    return replace(found, low=low, high=high, method=method).noting(apart)
-
-
 def interval_possible(sizes: Sequence[int]) -> bool:
     """True where every stratum has enough runs for an interval."""
     return min(sizes, default=0) >= MIN_RUNS
@@ -141,34 +136,21 @@ def resample(
     runs = _runs_last(strata)
     # All draws come first: the stream must not depend on the size of the chunks.
     picks = [rng.integers(each.shape[-1], size=(replicates, each.shape[-1]), dtype=np.int32) for each in runs]
-    if isinstance(statistic, Iqm):
-        return _by_counting(runs, picks, statistic, chunk_bytes)
-    return _by_pooling(runs, picks, statistic, chunk_bytes)
-
-
-def _by_pooling(runs: Sequence[Floats], picks: Sequence[Picks], statistic: Statistic, chunk_bytes: int) -> Floats:
-    """Every replicate of [..., S] put together and handed to the statistic: [R, ...]."""
-    chunks = _chunks(len(picks[0]), chunk_bytes // (8 * sum(each.size for each in runs)))
-    parts = [np.moveaxis(statistic(_pooled(runs, [pick[chunk] for pick in picks])), -1, 0) for chunk in chunks]
-    return np.concatenate(parts)
-
-
-def _by_counting(runs: Sequence[Floats], picks: Sequence[Picks], statistic: Iqm, chunk_bytes: int) -> Floats:
-    """The same for an interquartile mean, from how often each replicate drew each run."""
-    scores, counts = np.concatenate(runs, axis=-1), count_draws(picks)
-    chunks = _chunks(len(picks[0]), chunk_bytes // (4 * len(counts)))  # a count takes a byte or two, and a few copies
-    parts = [iqm_replicates(scores, counts[:, chunk], statistic.kind) for chunk in chunks]
+    if isinstance(statistic, Iqm):  # from how often each replicate drew each run; a count takes a byte or two, copied
+        scores, counts, kind = np.concatenate(runs, axis=-1), count_draws(picks), statistic.kind
+        length = max(1, chunk_bytes // (4 * len(counts)))
+        parts = [iqm_replicates(scores, counts[:, chunk], kind) for chunk in _chunks(replicates, length)]
+    else:
+        length = max(1, chunk_bytes // (8 * sum(each.size for each in runs)))
+        parts = []
+        for chunk in _chunks(replicates, length):
+            drawn = [np.take(each, pick[chunk], axis=-1) for each, pick in zip(runs, picks, strict=True)]
+            parts.append(statistic(np.concatenate(drawn, axis=-1)))
     return np.moveaxis(np.concatenate(parts, axis=-1), -1, 0)
 
 
 def _chunks(replicates: int, length: int) -> Iterator[slice]:
-    """All replicates, at most `length` of them (but at least one) at a time."""
-    return (slice(start, start + max(1, length)) for start in range(0, replicates, max(1, length)))
-
-
-def _pooled(runs: Sequence[Floats], picks: Sequence[Picks]) -> Floats:
-    """Each stratum [..., S] at its picks [R, S], side by side: [..., R, sum of S]."""
-    return np.concatenate([np.take(each, pick, axis=-1) for each, pick in zip(runs, picks, strict=True)], axis=-1)
+    return (slice(start, start + length) for start in range(0, replicates, length))
 
 
 def _runs_last(strata: Sequence[npt.ArrayLike]) -> list[Floats]:
@@ -178,3 +160,68 @@ def _runs_last(strata: Sequence[npt.ArrayLike]) -> list[Floats]:
     if len({each.shape[:-1] for each in runs}) > 1:
         raise ValueError("the scores of all strata need one shape beyond the runs")
     return runs
+
+
+_NORMAL = NormalDist()
+_cdf = np.vectorize(_NORMAL.cdf, otypes=[np.float64])
+_inverse = np.vectorize(_NORMAL.inv_cdf, otypes=[np.float64])
+
+
+def _bias_corrected(found: Estimate, draws: Floats, levels: Floats) -> Estimate:
+    """The percentile estimate with its ends moved to these levels [2, ...], where there are any."""
+    known = np.isfinite(levels).all(axis=0)
+    low, high = np.where(known, quantiles_at(draws, np.where(known, levels, 0.5)), (found.low, found.high))
+    method = found.method.replace("percentile", "BCa")
+    if known.all():
+        return replace(found, low=low, high=high, method=method)
+    why = "BCa is not defined: all replicates on one side of it, or no run that makes a difference"
+    if not known.any():
+        return found.noting(why)
+    apart = f"percentile for {known.size - known.sum()} of {known.size} numbers where {why}"
+    return replace(found, low=low, high=high, method=method).noting(apart)
+
+
+def left_out(runs: Sequence[Floats], statistic: Callable[[Floats], Floats]) -> list[Floats]:
+    """For each stratum [..., S] the statistic of all runs pooled but one of that stratum, [S, ...]."""
+    pooled = np.concatenate(runs, axis=-1)
+    sizes = [each.shape[-1] for each in runs]
+    values = np.stack([statistic(np.delete(pooled, run, axis=-1)) for run in range(sum(sizes))])
+    return np.split(values, np.cumsum(sizes)[:-1])
+
+
+def bca_levels(point: Floats, draws: Floats, without: Sequence[Floats], level: float) -> Floats:
+    """Where among the replicates the interval's two ends lie.
+
+    Args:
+        point: the estimate, [...].
+        draws: its replicates, [R, ...].
+        without: of `left_out`, [S, ...] for each stratum.
+        level: nominal coverage.
+
+    Returns:
+        float64 [2, ...] in (0, 1); NaN where BCa is not defined: all replicates on one side of the estimate, no
+        difference whichever run is left out, or a correction beyond any level.
+    """
+    below = ((draws < point).mean(axis=0) + (draws <= point).mean(axis=0)) / 2  # ties count by half
+    known = (below > 0.0) & (below < 1.0)
+    bias = _inverse(np.where(known, below, 0.5))
+    influence = [(len(each) - 1) * (each.mean(axis=0) - each) / len(each) for each in without]
+    cubes, squares = (np.sum([(each**power).sum(axis=0) for each in influence], axis=0) for power in (3, 2))
+    known &= squares > 0.0
+    acceleration = cubes / np.where(squares > 0.0, 6.0 * squares**1.5, 1.0)  # a sixth of the influences' skewness
+    tail = (1.0 - level) / 2.0
+    ends = np.array([_NORMAL.inv_cdf(tail), _NORMAL.inv_cdf(1.0 - tail)]).reshape(2, *[1] * point.ndim)
+    slope = 1.0 - acceleration * (bias + ends)
+    known &= (slope > 0.0).all(axis=0)
+    shifted = bias + (bias + ends) / np.where(known, slope, 1.0)
+    return np.where(known, _cdf(shifted), np.nan)
+
+
+def quantiles_at(draws: Floats, levels: Floats) -> Floats:
+    """The quantile of [R, ...] at a level of its own for each entry, [K, ...]; linear between replicates."""
+    ordered = np.sort(draws, axis=0)
+    place = levels * (len(draws) - 1)
+    before = np.floor(place).astype(np.intp)
+    after = np.minimum(before + 1, len(draws) - 1)
+    low, high = (np.take_along_axis(ordered, each, axis=0) for each in (before, after))
+    return np.asarray(low + (high - low) * (place - before))

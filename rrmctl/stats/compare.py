@@ -1,10 +1,8 @@
 """Two methods beside one another: the difference of a statistic, and how often one is better.
 
-Runs of two methods with equal seeds share the streams of environment and teacher, but not what is drawn from them: the
-policies differ after the first update, and with them every state, query and answer. Seeds are therefore not pairs by
-default; both methods are resampled on their own. `paired=True` draws the same seeds for both, for runs that do have
-more in common (one start network, one set of demonstrations); where they have not, it gains nothing, and with few seeds
-it takes a chance correlation for a real one.
+Seeds are no pairs by default (docs/statistics.md): both methods are resampled on their own. `paired=True` draws the
+same seeds for both, for runs that do have more in common (one start network, one set of demonstrations); where they
+have not, it gains nothing, and with few seeds it takes a chance correlation for a real one.
 """
 
 from __future__ import annotations
@@ -47,13 +45,16 @@ def difference(
     sizes = _sizes(ours, theirs)
     if paired and any(a != b for a, b in sizes):
         raise ValueError("paired runs come in pairs: both methods need the same seeds on every task")
-    point = _pooled(ours, statistic) - _pooled(theirs, statistic)
+    both = (ours, theirs)
+    point, other = (statistic(np.concatenate([checked(each, axis=0) for each in runs], axis=-1)) for runs in both)
     draws = None
     if interval_possible([size for pair in sizes for size in pair]):
-        first, second = rng.integers(2**63, size=2)
-        second = first if paired else second  # generators with one seed draw the same rows
-        draws = _draws(ours, statistic, first, replicates) - _draws(theirs, statistic, second, replicates)
-    found = estimate(point, draws, n=sum(map(sum, sizes)), level=level)
+        seeds = rng.integers(2**63, size=2)
+        rngs = map(np.random.default_rng, seeds[[0, 0]] if paired else seeds)  # those with one seed draw the same rows
+        draws = np.subtract(
+            *(resample(runs, statistic, rng=own, replicates=replicates) for runs, own in zip(both, rngs, strict=True))
+        )
+    found = estimate(point - other, draws, n=sum(map(sum, sizes)), level=level)
     return found if draws is None else found.noting("pairs of one seed drawn together" if paired else "unpaired")
 
 
@@ -69,8 +70,7 @@ def probability_of_improvement(ours: Strata, theirs: Strata) -> float:
     Raises:
         ValueError: no tasks, different numbers of tasks, no runs, or a score that is not finite.
     """
-    _sizes(ours, theirs)
-    return float(np.mean([_wins(a, b).mean() for a, b in zip(ours, theirs, strict=True)]))
+    return float(np.mean([wins.mean() for wins in _wins(ours, theirs)]))
 
 
 def improvement(
@@ -88,34 +88,26 @@ def improvement(
     """
     if replicates < 1:
         raise ValueError(f"a bootstrap needs at least one replicate, not {replicates}")
-    sizes = _sizes(ours, theirs)
-    draws = None
-    if interval_possible([size for pair in sizes for size in pair]):
-        tasks = zip(ours, theirs, sizes, strict=True)
-        draws = np.mean([_win_draws(_wins(a, b), pair, rng, replicates) for a, b, pair in tasks], axis=0)
-    return estimate(probability_of_improvement(ours, theirs), draws, n=sum(map(sum, sizes)), level=level)
+    tasks, draws = _wins(ours, theirs), None
+    sizes = [size for wins in tasks for size in wins.shape]
+    if interval_possible(sizes):
+        draws = np.mean([_win_draws(wins, rng, replicates) for wins in tasks], axis=0)
+    return estimate(np.mean([wins.mean() for wins in tasks]), draws, n=sum(sizes), level=level)
 
 
-def _draws(strata: Strata, statistic: Statistic, seed: np.int64, replicates: int) -> Floats:
-    return resample(strata, statistic, rng=np.random.default_rng(seed), replicates=replicates)
-
-
-def _win_draws(wins: Floats, sizes: tuple[int, int], rng: np.random.Generator, replicates: int) -> Floats:
+def _win_draws(wins: Floats, rng: np.random.Generator, replicates: int) -> Floats:
     """The share of wins of each replicate [R], from how often it drew each run."""
-    ours, theirs = (count_draws([rng.integers(n, size=(replicates, n), dtype=np.int32)]) for n in sizes)
+    ours, theirs = (count_draws([rng.integers(n, size=(replicates, n), dtype=np.int32)]) for n in wins.shape)
     return np.asarray(np.einsum("ar,ab,br->r", ours, wins, theirs, optimize=True) / wins.size)
 
 
-def _wins(ours: npt.ArrayLike, theirs: npt.ArrayLike) -> Floats:
-    """1 where the run of ours [row] beats that of theirs [column], 1/2 where they are level: [S, S']."""
-    a, b = checked(ours, axis=0), checked(theirs, axis=0)
-    if a.ndim != 1 or b.ndim != 1:
+def _wins(ours: Strata, theirs: Strata) -> list[Floats]:
+    """Of each task, 1 where the run of ours [row] beats that of theirs [column], 1/2 where they are level: [S, S']."""
+    _sizes(ours, theirs)
+    pairs = [[checked(each, axis=0) for each in pair] for pair in zip(ours, theirs, strict=True)]
+    if any(each.ndim != 1 for pair in pairs for each in pair):
         raise ValueError("runs are compared by one score each")
-    return np.asarray((np.sign(a[:, None] - b) + 1.0) / 2.0)
-
-
-def _pooled(strata: Strata, statistic: Statistic) -> Floats:
-    return statistic(np.concatenate([checked(each, axis=0) for each in strata], axis=-1))
+    return [np.asarray((np.sign(a[:, None] - b) + 1.0) / 2.0) for a, b in pairs]
 
 
 def _sizes(ours: Strata, theirs: Strata) -> list[tuple[int, int]]:

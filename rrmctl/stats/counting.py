@@ -25,10 +25,10 @@ Counts = npt.NDArray[np.unsignedinteger]
 def count_draws(picks: Sequence[Picks]) -> Counts:
     """How often each replicate drew each run of all strata: [R, S] each, to [sum of S, R]."""
     draws = sum(pick.shape[1] for pick in picks)
-    counts: Counts = np.empty((draws, len(picks[0])), _narrowest(draws))
+    counts: Counts = np.empty((draws, len(picks[0])), np.min_scalar_type(draws))
     rows = iter(counts)
     for pick in picks:
-        drawn = np.ascontiguousarray(pick.T, dtype=_narrowest(pick.shape[1]))
+        drawn = np.ascontiguousarray(pick.T, dtype=np.min_scalar_type(pick.shape[1]))
         for run in range(pick.shape[1]):
             np.add.reduce(drawn == run, axis=0, dtype=counts.dtype, out=next(rows))
     return counts
@@ -49,30 +49,19 @@ def iqm_replicates(scores: Floats, counts: Counts, kind: IqmKind) -> Floats:
     low, high = iqm_window(n, kind)
     parts = next(parts for parts in (1, 2, 4) if (parts * low).is_integer())  # of a draw: quartiles fall between two
     low, high = int(parts * low), int(parts * high)
-    rows = list(counts if parts == 1 else counts.astype(_narrowest(parts * n)) * np.uint8(parts))
+    rows = list(counts if parts == 1 else counts.astype(np.min_scalar_type(parts * n)) * np.uint8(parts))
     order = np.argsort(scores, axis=-1)
     ordered = np.take_along_axis(scores, order, axis=-1)
     ends, inside = np.zeros((2, n + 1, replicates), rows[0].dtype)  # where the draws of each score end, from zero on
     weights = np.empty((n, replicates), rows[0].dtype)
     means = np.empty((*scores.shape[:-1], replicates))
     for at in np.ndindex(means.shape[:-1]):
-        _add_up(rows, order[at], ends)
+        before = ends[0]  # zero
+        for run, end in zip(order[at], ends[1:], strict=True):
+            before = np.add(before, rows[run], out=end)
         np.clip(ends, low, high, out=inside)
         np.subtract(inside[1:], inside[:-1], out=weights)
         np.einsum("n,nr->r", ordered[at], weights, out=means[at])  # a matrix product would copy the weights to floats
     means /= high - low
     # A mean lies between the scores; rounding must not move that of equal scores away from them.
     return np.clip(means, ordered[..., :1], ordered[..., -1:], out=means)
-
-
-def _add_up(rows: Sequence[Counts], order: npt.NDArray[np.intp], ends: Counts) -> None:
-    """Add the rows [N][R] up in this order [N], keeping every sum: `ends` [N + 1, R], whose first row is zero."""
-    sums = iter(ends)
-    before = next(sums)
-    for run in order:
-        before = np.add(before, rows[run], out=next(sums))
-
-
-def _narrowest(most: int) -> np.dtype[np.unsignedinteger]:
-    """The smallest unsigned type that holds numbers up to `most`."""
-    return np.min_scalar_type(most)

@@ -1,16 +1,16 @@
-"""What is read off learning curves: the area below them, and the step at which methods are compared."""
+"""What is read off learning curves: the area below, the step at which methods are compared, and a profile there."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 import numpy.typing as npt
 
-from rrmctl.stats.aggregate import Floats, checked
-
-Steps = npt.NDArray[np.int64]
+from rrmctl.stats.aggregate import Floats, Steps, checked, mean
+from rrmctl.stats.bootstrap import REPLICATES, Estimate, bootstrap
 
 #: Of the seeds: how many must be at 100 % for a task to be read there.
 SHARE = 0.8
@@ -48,19 +48,15 @@ class CommonStep:
     by: tuple[str, ...]  #: the methods that got there first
 
 
-def common_step(
-    steps: npt.ArrayLike, success: Mapping[str, npt.ArrayLike], *, share: float = SHARE, oracle: str = "oracle"
-) -> CommonStep:
-    """First evaluation step at which `share` of the seeds of any method but the oracle are at 100 % success.
+def common_step(steps: npt.ArrayLike, success: Mapping[str, npt.ArrayLike]) -> CommonStep:
+    """First evaluation step at which `SHARE` of the seeds of any of these methods are at 100 % success.
 
     The rule of the paper's box figure (8 of 10 seeds). A step chosen on the data it is then applied to is an optimistic
     choice, alike for all methods; the last step, where none gets there, is not.
 
     Args:
         steps: evaluation steps common to all methods, [T].
-        success: method -> share of successful episodes of each run, [S, T] in [0, 1].
-        share: of the seeds present.
-        oracle: the method that does not count.
+        success: method (none that knows the true reward) -> share of successful episodes of each run, [S, T].
 
     Raises:
         ValueError: no steps, shapes that do not match, or a success that is not finite or outside [0, 1].
@@ -73,10 +69,8 @@ def common_step(
             raise ValueError(f"{method}: {x.size} steps and scores of shape {np.shape(scores)} do not belong together")
         if values.min() < 0.0 or values.max() > 1.0:
             raise ValueError(f"{method}: success is a fraction between 0 and 1")
-        if method == oracle:
-            continue
         # The slack is for shares like 0.8 * 35, which floating point puts a hair above 28.
-        enough = (values >= 1.0).sum(axis=-1) >= share * values.shape[-1] - 1e-9
+        enough = (values >= 1.0).sum(axis=-1) >= SHARE * values.shape[-1] - 1e-9
         if enough.any():
             first[method] = int(enough.argmax())
     index = min(first.values(), default=x.size - 1)
@@ -85,14 +79,42 @@ def common_step(
 
 
 def checked_steps(steps: npt.ArrayLike) -> Steps:
-    """The steps as int64 [T].
-
-    Raises:
-        ValueError: there are none, or they do not strictly increase.
-    """
+    """The steps as int64 [T]; refused where there are none or they do not strictly increase."""
     x = np.asarray(steps, dtype=np.int64)
     if x.ndim != 1 or x.size == 0:
         raise ValueError("a curve needs at least one evaluation step")
     if (np.diff(x) <= 0).any():
         raise ValueError("evaluation steps must increase from one to the next")
     return x
+
+
+def performance_profile(
+    strata: Sequence[npt.ArrayLike],
+    thresholds: npt.ArrayLike,
+    *,
+    rng: np.random.Generator,
+    replicates: int = REPLICATES,
+    level: float = 0.95,
+) -> Estimate:
+    """Share of all runs, tasks pooled, that score above each threshold, with a pointwise percentile band.
+
+    The run-score distribution of Agarwal et al. 2021, as in rliable: a score equal to the threshold is not above it.
+
+    Args:
+        strata: for each task one score a run, [S].
+        thresholds: finite, [T].
+        rng: the only source of randomness.
+        replicates: resampled data sets.
+        level: nominal coverage at each threshold by itself; the band as a whole covers less.
+
+    Returns:
+        arrays [T].
+
+    Raises:
+        ValueError: as `rrmctl.stats.bootstrap`; thresholds that are no finite list; more than one score a run.
+    """
+    levels, runs = checked(thresholds, axis=0), [checked(each, axis=0) for each in strata]
+    if levels.ndim != 1 or any(each.ndim != 1 for each in runs):
+        raise ValueError("a profile needs a list of thresholds and one score for each run")
+    above = [each[:, None] > levels for each in runs]
+    return bootstrap(above, partial(mean, axis=-1), rng=rng, replicates=replicates, level=level)

@@ -51,7 +51,7 @@ def outlook(
     """
     if verdict.decision != "open":
         raise ValueError("only an open comparison has an outlook")
-    ours, theirs = (np.asarray(each, dtype=np.float64) for each in (comparison.ours, comparison.theirs))
+    ours, theirs = (np.asarray(scores, dtype=np.float64) for scores in comparison)
     if not interval_possible([len(ours), len(theirs)]):
         return Outlook(np.nan, None)
     quick = replace(design, permutations=min(design.permutations, _MOST, round(_CROSSING / design.alpha)))

@@ -9,26 +9,21 @@ level that another left, a comparison may have crossed its boundary at an earlie
 
 Groups, statistic, splits and the even spending of the level are those of Mathieu, Della Vecchia, Shilova, Centa de
 Medeiros, Kohler, Maillard and Preux, "AdaStop: adaptive statistical testing for sound comparisons of Deep RL agents",
-TMLR 2024. AdaStop's step-down compares the largest statistic with the largest under the splits, the same splits for all
-comparisons. Holm's costs some power, needs no common scale for tasks of different units, and holds for few seeds and
-scores of any shape, where the comparisons depend on one another otherwise than under common splits.
-
-What is controlled: where methods are compared whose scores have one distribution, the probability that any such
-comparison is ever decided is at most alpha. Methods that differ in spread alone are not alike: that, too, may be what
-is found. Nothing is said of how many real differences are missed.
+TMLR 2024; why the step-down is Holm's, and what is controlled and what is not, is in docs/statistics.md.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
+from functools import lru_cache
+from itertools import combinations
+from typing import Literal, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from rrmctl.stats.aggregate import Floats, checked
-from rrmctl.stats.permutations import sequences
 
 #: `larger`, `smaller`: the first method is, as against the second. `equal`: not separated by the last look. `open`:
 #: more seeds decide.
@@ -61,8 +56,7 @@ class Design:
         return self.group * self.looks
 
 
-@dataclass(frozen=True)
-class Comparison:
+class Comparison(NamedTuple):
     """The scores of two methods, one a seed, in the order in which the seeds are used; [S] each."""
 
     ours: npt.ArrayLike
@@ -99,18 +93,23 @@ def sequential_test(comparisons: Sequence[Comparison], design: Design) -> list[S
     Raises:
         ValueError: scores that are not finite, or more than one a seed.
     """
-    tested = [_Tested(each, design) for each in comparisons]
+    tested = [_Tested(comparison, design) for comparison in comparisons]
     verdicts: dict[int, Standing] = {}
     for looks in range(1, design.looks + 1):
         left = [at for at, each in enumerate(tested) if at not in verdicts and each.looks >= looks]
         for _ in comparisons:  # one that is decided leaves the others a larger share of the level
-            level = design.alpha / max(1, len(tested) - sum(each.separated for each in verdicts.values()))
-            crossings = {at: tested[at].crossing(level) for at in left}
-            verdicts |= {at: tested[at].separated(by, looks) for at, by in crossings.items() if 0 < by <= looks}
-            left = [at for at in left if at not in verdicts]
+            level = design.alpha / max(1, len(tested) - sum(verdict.separated for verdict in verdicts.values()))
+            for at in list(left):
+                crossing = tested[at].crossing(level)
+                if 0 < crossing <= looks:  # in favour of the one that was better where its boundary was crossed
+                    decision: Decision = "larger" if tested[at].difference(crossing) > 0.0 else "smaller"
+                    verdicts[at] = Standing(decision, looks, tested[at].difference(looks))
+                    left.remove(at)
         if looks == design.looks:
-            verdicts |= {at: tested[at].verdict("equal", looks) for at in left}
-    return [verdicts.get(at, each.verdict("open", each.looks)) for at, each in enumerate(tested)]
+            verdicts |= {at: Standing("equal", looks, tested[at].difference(looks)) for at in left}
+    return [
+        verdicts.get(at, Standing("open", each.looks, each.difference(each.looks))) for at, each in enumerate(tested)
+    ]
 
 
 def boundaries(statistics: Sequence[Floats], looks: int, level: float) -> tuple[list[float], npt.NDArray[np.int64]]:
@@ -139,7 +138,7 @@ class _Tested:
 
     def __init__(self, comparison: Comparison, design: Design) -> None:
         self._design = design
-        self._ours, self._theirs = (_scores(each) for each in (comparison.ours, comparison.theirs))
+        self._ours, self._theirs = map(_scores, comparison)
         self.looks = min(len(self._ours), len(self._theirs), design.seeds) // design.group
         self._crossings: dict[float, int] = {}
         signs = sequences(design.group, design.looks, design.permutations, design.seed)
@@ -159,15 +158,8 @@ class _Tested:
             self._crossings[level] = int(first[0])
         return self._crossings[level]
 
-    def separated(self, crossing: int, looks: int) -> Standing:
-        """The verdict after these looks, in favour of the one that was better where its boundary was crossed."""
-        return self.verdict("larger" if self._difference(crossing) > 0.0 else "smaller", looks)
-
-    def verdict(self, decision: Decision, looks: int) -> Standing:
-        """The verdict after these looks."""
-        return Standing(decision, looks, self._difference(looks))
-
-    def _difference(self, looks: int) -> float:
+    def difference(self, looks: int) -> float:
+        """Of the means over these looks, ours minus theirs; NaN before the first."""
         seeds = looks * self._design.group
         return float(self._ours[:seeds].mean() - self._theirs[:seeds].mean()) if looks else np.nan
 
@@ -177,3 +169,42 @@ def _scores(given: npt.ArrayLike) -> Floats:
     if scores.ndim != 1:
         raise ValueError(f"a test takes one score for each seed, not an array of shape {scores.shape}")
     return checked(scores) if scores.size else scores
+
+
+@lru_cache(maxsize=4)
+def sequences(group: int, looks: int, most: int, seed: int) -> tuple[Floats, ...]:
+    """Ways in which the scores of two methods that are alike could have been dealt to them, group after group.
+
+    Every way to split the 2 n scores of a group into n and n was then as likely as the one that came about. A sequence
+    has a split for each group, as the signs of the scores: for each group [B, 2 group], +1 / group or -1 / group. The
+    first sequence is what was seen.
+
+    The first groups run through all their splits together, as long as `most` sequences have room for them, each as
+    often as any other; the later ones are drawn at random, but for the first sequence, which changes nothing. With few
+    groups of few runs that is every sequence there is. Such a set, taken after a random one of its own members, is
+    distributed as before; so what was seen is, where the methods are alike, a member like any other. A test that lets
+    through a share of at most alpha of the sequences then errs with a probability of at most alpha, however many there
+    are: fewer only make it coarser.
+
+    Args:
+        group: runs of each method in a group.
+        looks: groups.
+        most: sequences, as a rule; never fewer than one group has splits.
+        seed: of the generator of each group's splits, together with the group's number.
+    """
+    chosen: npt.NDArray[np.intp] = np.array(list(combinations(range(2 * group), group)))
+    splits = np.full((len(chosen), 2 * group), -1.0 / group)  # every split, the observed one first
+    np.put_along_axis(splits, chosen, 1.0 / group, axis=1)
+    listed = next((n for n in range(looks, 1, -1) if len(splits) ** n <= most), 1)
+    repeats = 1 if listed == looks else max(1, most // len(splits) ** listed)
+    total = repeats * len(splits) ** listed
+    drawn = []
+    for look in range(looks):
+        if look < listed:
+            which = np.arange(total) // len(splits) ** look % len(splits)
+        else:
+            which = np.random.default_rng([seed, look]).integers(len(splits), size=total)
+            which[0] = 0
+        drawn.append(splits[which])
+        drawn[-1].flags.writeable = False  # shared by all who ask
+    return tuple(drawn)

@@ -26,5 +26,5 @@ def typed(table: pd.DataFrame, kinds: Mapping[str, str] | None = None) -> pd.Dat
     import pandas as pd
 
     text = pd.StringDtype(na_value=float("nan"))
-    found = {str(name): TEXT for name in table.columns if table[name].dtype == object} | dict(kinds or {})
-    return table.astype({name: text if kind == TEXT else kind for name, kind in found.items()})
+    types = {str(name): TEXT for name in table.columns if table[name].dtype == object} | dict(kinds or {})
+    return table.astype({name: text if kind == TEXT else kind for name, kind in types.items()})

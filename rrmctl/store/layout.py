@@ -1,15 +1,6 @@
 """Where everything lies below a results root. No other file spells a path.
 
-runs/<id>/config.json         the full configuration, and the run's id, cell and method
-runs/<id>/provenance.json     versions, machine, code and environment it ran with; what changed at each resumption
-runs/<id>/curve.parquet       one row per evaluation
-runs/<id>/status.json         state, attempt, progress, error
-runs/<id>/log.txt             everything the worker printed
-runs/<id>/lock, guard, lease.json    who owns the run, see `rrmctl.store.lease` and `owner`
-runs/<id>/checkpoint/         the trainer's own, gone when the run is done
-runs/<id>/model.safetensors   the final networks
-runs/<id>/demos.safetensors   the demonstrations, of a run that collects them
-runs/<id>/gradients.parquet   norms of gradients, of a run that fine-tunes an imitation reward
+runs/<id>/                           the files of a run, see `RunFolder`
 sweeps/<experiment>/<variant>.json   what `run` was asked for
 trials/<experiment>/<variant>.json   the rules of `run --until-decided`
 aggregates/<experiment>.parquet      interquartile mean curves
@@ -21,11 +12,14 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from rrmctl.errors import UserError
+from rrm.errors import nearest
+from rrm.files import place
+from rrmctl.commands import rrmctl
+from rrmctl.errors import UserError, check_known
 
 #: Names that become a file's: no separators, nothing hidden, no way out of the results root.
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,127}")
@@ -34,11 +28,34 @@ _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,127}")
 RUN_ID = re.compile(r"[0-9a-f]{16}")
 
 
+class _Entry:
+    """A file or folder of this name in a run's folder; of the class, the name alone."""
+
+    def __init__(self, name: str) -> None:
+        self._name = name
+
+    def __get__(self, folder: RunFolder | None, _owner: type[RunFolder]) -> Path:
+        return Path(self._name) if folder is None else folder.path / self._name
+
+
 @dataclass(frozen=True)
 class RunFolder:
     """The files of one run."""
 
     path: Path
+
+    config = _Entry("config.json")  #: the full configuration, and id, cell and method; written before the run starts
+    provenance = _Entry("provenance.json")  #: versions, machine, code and environment; what changed at resumptions
+    curve = _Entry("curve.parquet")  #: one row per evaluation; replaced after each
+    status = _Entry("status.json")  #: state, attempt, progress, error; replaced every few seconds
+    log = _Entry("log.txt")  #: everything the worker printed; only ever appended to
+    lock = _Entry("lock")  #: empty; what counts is who holds it
+    guard = _Entry("guard")  #: empty; held for the moment of a write, see `rrmctl.store.lease`
+    lease = _Entry("lease.json")  #: the owner's signs of life
+    checkpoint = _Entry("checkpoint")  #: the trainer's own folder, gone when the run is done
+    model = _Entry("model.safetensors")  #: the final networks
+    demos = _Entry("demos.safetensors")  #: the demonstrations, of a run that collects them
+    gradients = _Entry("gradients.parquet")  #: norms, of a run that fine-tunes an imitation reward
 
     @property
     def id(self) -> str:
@@ -49,66 +66,6 @@ class RunFolder:
     def results(self) -> Path:
         """The results root that it lies in."""
         return self.path.parent.parent
-
-    @property
-    def config(self) -> Path:
-        """Written once, before the run starts."""
-        return self.path / "config.json"
-
-    @property
-    def provenance(self) -> Path:
-        """Written when the run starts, extended when it resumes."""
-        return self.path / "provenance.json"
-
-    @property
-    def curve(self) -> Path:
-        """Replaced after each evaluation."""
-        return self.path / "curve.parquet"
-
-    @property
-    def status(self) -> Path:
-        """Replaced at each change of state and every few seconds in between."""
-        return self.path / "status.json"
-
-    @property
-    def log(self) -> Path:
-        """Only ever appended to."""
-        return self.path / "log.txt"
-
-    @property
-    def lock(self) -> Path:
-        """Empty; what counts is who holds it."""
-        return self.path / "lock"
-
-    @property
-    def guard(self) -> Path:
-        """Empty; held for the moment of a write, see `rrmctl.store.lease`."""
-        return self.path / "guard"
-
-    @property
-    def lease(self) -> Path:
-        """The owner's signs of life."""
-        return self.path / "lease.json"
-
-    @property
-    def checkpoint(self) -> Path:
-        """The trainer's own folder."""
-        return self.path / "checkpoint"
-
-    @property
-    def model(self) -> Path:
-        """Written when training is over."""
-        return self.path / "model.safetensors"
-
-    @property
-    def demos(self) -> Path:
-        """Written when they are all there."""
-        return self.path / "demos.safetensors"
-
-    @property
-    def gradients(self) -> Path:
-        """Replaced with the curve."""
-        return self.path / "gradients.parquet"
 
     def trained(self) -> tuple[Path, ...]:
         """What training leaves, to be removed when a run starts from nothing."""
@@ -156,6 +113,79 @@ class Layout:
 
     def _sweeps(self, experiment: str) -> Path:
         return self.root / "sweeps" / _checked("experiment", experiment)
+
+
+def new_results(results: str | Path) -> Layout:
+    """The layout of a results root, whether or not it exists. Raises UserError where it is a file."""
+    root = place(results)
+    if root.exists() and not root.is_dir():
+        raise UserError(f"{root} is a file, not a folder", "name a folder with --results; the default is results")
+    return Layout(root)
+
+
+def open_results(results: str | Path) -> Layout:
+    """The layout of an existing results root. Raises UserError where there is no such folder."""
+    layout = new_results(results)
+    if not layout.root.is_dir():
+        begin = rrmctl("run", "quickstart", results=layout.root)
+        raise UserError(f"there is no results folder {layout.root}", f"`{begin}` makes one; --results names another")
+    return layout
+
+
+def never_run(layout: Layout, *experiments: str) -> UserError:
+    """What to say where the store holds no run of the first of these, or none at all."""
+    present = layout.experiments()
+    if not present:
+        start = rrmctl("run", "quickstart", results=layout.root)
+        return UserError(f"{layout.root} holds no experiment yet", f"start one, e.g. `{start}`")
+    near = nearest(experiments[0], present)
+    start = "" if near else "; `rrmctl list` names what there is to run"
+    hint = f"it holds: {', '.join(present)}{start}"
+    return UserError(f'{layout.root} holds no runs of "{experiments[0]}"{near}', hint)
+
+
+def chosen_experiments(layout: Layout, asked: Sequence[str]) -> list[str]:
+    """The experiments that are asked for, each once; all of the store where none is.
+
+    Raises:
+        UserError: the store holds no run of one, or none at all.
+    """
+    present = layout.experiments()
+    unknown = [name for name in asked if name not in present]
+    if unknown or not present:
+        raise never_run(layout, *unknown)
+    return list(dict.fromkeys(asked)) or present
+
+
+def check_profile(profile: str | None, present: Iterable[str]) -> None:
+    """Refuse a profile of which there are no runs; None asks for none.
+
+    Raises:
+        UserError: with the nearest that there is.
+    """
+    if profile is not None:
+        check_known(profile, sorted(set(present)), f'no runs of profile "{profile}"', "there are runs of")
+
+
+def find_run(layout: Layout, prefix: str) -> RunFolder:
+    """The folder of the one run whose id starts with `prefix`.
+
+    Raises:
+        UserError: none does, or several do, or `prefix` is empty.
+    """
+    if not prefix:
+        raise UserError("no run was named", f"give its id or the first digits of it; {_ids(layout)}")
+    matches = [run for run in layout.run_ids() if run.startswith(prefix)]
+    if len(matches) == 1:
+        return layout.run(matches[0])
+    if not matches:
+        raise UserError(f"no run in {layout.root} starts with {prefix!r}", _ids(layout))
+    shown = ", ".join(matches[:8]) + (", ..." if len(matches) > 8 else "")
+    raise UserError(f"{prefix!r} stands for {len(matches)} runs: {shown}", "give more digits")
+
+
+def _ids(layout: Layout) -> str:
+    return f"ids are the names of the folders in {layout.root / 'runs'}"
 
 
 def _names(folder: Path, wanted: Callable[[Path], bool]) -> list[str]:

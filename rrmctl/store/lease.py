@@ -16,26 +16,22 @@ it is waited for until it wakes or dies.
 from __future__ import annotations
 
 import contextlib
-import fcntl
 import json
 import math
 import os
 import secrets
 import threading
-import time
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager
 
 from rrm.files import replace
-from rrmctl.store.files import StorageError, is_open_at, storage_error, try_lock
+from rrmctl.store.files import StorageError, storage_error
 from rrmctl.store.layout import RunFolder
+from rrmctl.store.locks import is_open_at, open_lock, try_lock, wait_for
 from rrmctl.store.owner import Beat, lock_free, read_beat
 
 #: How often the owner raises its count, seconds.
 BEAT_S = 2.0
-
-#: How often one who waits for the guard looks whether it is free, seconds.
-_LOOK_S = 0.01
 
 
 class LeaseLostError(Exception):
@@ -82,9 +78,6 @@ class Lease:
             patience_s: to wait for the lock, seconds; readers hold it for an instant.
             stale: the sign of life that nothing has followed for `LEASE_S`: its owner is not waited for.
             waiting: called again and again while somebody else holds the guard, now and in `writing`.
-
-        Raises:
-            StorageError: the folder takes no write.
         """
         lock = lock_free(folder, patience_s, stale)
         if lock is not None:
@@ -92,11 +85,7 @@ class Lease:
                 if is_open_at(lock, folder.lock):
                     return cls(folder, waiting)._hold(lock)
             os.close(lock)  # the run was taken over while nobody had it
-        return None if stale is None else cls._take_over(folder, stale, waiting)
-
-    @classmethod
-    def _take_over(cls, folder: RunFolder, stale: Beat, waiting: Callable[[], None]) -> Lease | None:
-        guard = try_lock(folder.guard)
+        guard = None if stale is None else try_lock(folder.guard)
         if guard is None:
             return None  # it is writing, or was stopped in the middle of it: what it writes must be whole first
         try:
@@ -163,38 +152,12 @@ class Lease:
 
 
 @contextlib.contextmanager
-def _guarded(
-    folder: RunFolder, waiting: Callable[[], None] = lambda: None, patience_s: float = math.inf
-) -> Iterator[None]:
-    """Hold the guard.
-
-    Args:
-        waiting: called again and again until it is free.
-        patience_s: to wait for it.
-
-    Raises:
-        StorageError: it cannot be opened.
-        TimeoutError: others held it all the while.
-    """
+def _guarded(folder: RunFolder, waiting: Callable[[], None], patience_s: float = math.inf) -> Iterator[None]:
+    """Hold the guard. Raises TimeoutError where others held it all the while, StorageError where it cannot be made."""
+    descriptor = open_lock(folder.guard)
     try:
-        descriptor = os.open(folder.guard, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o666)
-    except OSError as error:
-        raise storage_error(folder.guard, error) from error
-    try:
-        deadline = time.monotonic() + patience_s
-        while not _locked(descriptor):
-            if time.monotonic() >= deadline:
-                raise TimeoutError(f"{folder.guard} is held by another process")
-            waiting()
-            time.sleep(_LOOK_S)
+        if not wait_for(descriptor, patience_s, waiting):
+            raise TimeoutError(f"{folder.guard} is held by another process")
         yield
     finally:
         os.close(descriptor)
-
-
-def _locked(descriptor: int) -> bool:
-    try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        return False
-    return True

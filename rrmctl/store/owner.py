@@ -17,8 +17,9 @@ from pathlib import Path
 from typing import Any
 
 from rrmctl.errors import UserError
-from rrmctl.store.files import is_locked, read_json, try_lock
 from rrmctl.store.layout import RunFolder
+from rrmctl.store.locks import is_locked, try_lock
+from rrmctl.store.records import read_json
 from rrmctl.suspend_clock import WakingTime
 
 #: How long others watch a count that does not change before they take the run over, seconds.
@@ -88,20 +89,12 @@ def owned(beat: Beat | None, *, locked: bool, here: Machine, silent: Beat | None
 
 
 def is_owned(folder: RunFolder) -> bool:
-    """Whether a run is somebody's now. Works on folders that cannot be written.
-
-    Raises:
-        StorageError: its lock cannot be looked at now.
-    """
+    """Whether a run is somebody's now. Works on folders that cannot be written."""
     return owned(read_beat(folder), locked=is_locked(folder.lock), here=HERE)
 
 
 def lock_free(folder: RunFolder, patience_s: float = 0.0, silent: Beat | None = None) -> int | None:
-    """Take the lock of a run that is nobody's; None where it is somebody's. Arguments as in `try_lock` and `owned`.
-
-    Raises:
-        StorageError: the lock cannot be made.
-    """
+    """Take the lock of a run that is nobody's; None where it is somebody's. Arguments as in `try_lock` and `owned`."""
     lock = try_lock(folder.lock, patience_s)
     if lock is None:
         return None
@@ -114,12 +107,7 @@ def lock_free(folder: RunFolder, patience_s: float = 0.0, silent: Beat | None = 
 
 
 class Watch:
-    """Looks at the leases of other processes, by this process' own clock.
-
-    Args:
-        lease_s: how long nothing may follow a sign of life.
-        clock: seconds that this process has lived through.
-    """
+    """Looks at the leases of other processes, by the clock of what this process has lived through."""
 
     def __init__(self, lease_s: float = LEASE_S, clock: Callable[[], float] | None = None) -> None:
         self._lease_s = lease_s

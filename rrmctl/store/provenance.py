@@ -1,4 +1,4 @@
-"""What a run ran with: versions, machine, code and environment; and what had changed whenever it was resumed."""
+"""What a run is, and what it ran with: versions, machine, code, environment; and what changed on resumption."""
 
 from __future__ import annotations
 
@@ -12,14 +12,16 @@ import platform
 import socket
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
+
+from pydantic import AfterValidator, StrictInt, StrictStr
 
 import rrm
 from rrmctl.errors import UserError
 from rrmctl.hardware import cpu_model
-from rrmctl.store import validation
-from rrmctl.store.files import DamagedError, read_json, write_json
+from rrmctl.store.files import DamagedError, set_aside
 from rrmctl.store.layout import RunFolder
+from rrmctl.store.records import check_version, read_json, settings, validated, write_json
 from rrmctl.store.schema import SCHEMA_VERSION
 
 #: Packages whose version can change a number or a file.
@@ -28,131 +30,141 @@ PACKAGES = (
 )  # fmt: skip
 
 
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class Provenance:
-    """Facts about one attempt. All but the last four can change a run's numbers, and are compared on resumption."""
-
-    python: str
-    platform: str  #: system and machine type
-    cpu: str  #: model of the processor
-    versions: dict[str, str]  #: of PACKAGES, "absent" where not installed
-    code: str  #: digest of the library's sources
-    config: str  #: digest of config.json
-    fingerprint: dict[str, str]  #: of the environment: its packages, and a hash of its true reward on fixed states
-    precision: str
-    threads: int
-    started: str  #: UTC, ISO 8601
-    host: str
-    argv: list[str]  #: the command that asked for the run
-    attempt: int
-
-
+#: Facts that cannot change a run's numbers, and are not compared on resumption.
 _CIRCUMSTANCES = ("started", "host", "argv", "attempt")
 
 
-def collect(config: Mapping[str, Any], fingerprint: Mapping[str, str], argv: Sequence[str], attempt: int) -> Provenance:
-    """The provenance of an attempt that starts now, in this process."""
-    return Provenance(
-        python=platform.python_version(),
-        platform=f"{platform.system()} {platform.machine()}",
-        cpu=cpu_model(),
-        versions={name: version(name) or "absent" for name in PACKAGES},
-        code=code_digest("rrm"),
-        config=hashlib.sha256(json.dumps(config, sort_keys=True).encode()).hexdigest()[:16],
-        fingerprint=dict(fingerprint),
-        precision=str(config["precision"]),
-        threads=int(config["threads"]),
-        started=datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
-        host=socket.gethostname(),
-        argv=list(argv),
-        attempt=attempt,
-    )
+#: What to do about a configuration that is not what it should be.
+CONFIG_HINT = "run its experiment again: `rrmctl run NAME` writes it anew"
+
+
+#: What the program itself reads of a configuration; the rest is checked when the run starts.
+_Config = dataclasses.make_dataclass("_Config", [
+    *((name, StrictStr) for name in ("id", "cell", "profile", "task", "method", "precision")),
+    *((name, StrictInt) for name in ("config_version", "seed", "steps", "threads")),
+])  # fmt: skip
+
+
+def read_config(folder: RunFolder) -> dict[str, Any]:
+    """The run's `config.json`."""
+    config = read_json(folder.config, CONFIG_HINT)
+    if config is None:
+        raise DamagedError(f"{folder.config} is missing", CONFIG_HINT)
+    validated(_Config, config, folder.config, CONFIG_HINT)
+    return config
+
+
+def record_config(folder: RunFolder, content: dict[str, Any]) -> str | None:
+    """Write the run's `config.json` unless it says the same already. A damaged one is set aside first.
+
+    Returns:
+        What a person should know of a file that was set aside.
+    """
+    note = None
+    try:
+        stored = read_json(folder.config)
+    except DamagedError as error:
+        stored = None
+        if folder.config.exists():
+            note = f"{error}; set aside as {set_aside(folder.config, 'corrupt').name} and written anew"
+    if stored != content:
+        write_json(folder.config, content)
+    return note
+
+
+def collect(
+    config: Mapping[str, Any], fingerprint: Mapping[str, str], argv: Sequence[str], attempt: int
+) -> dict[str, Any]:
+    """Facts about an attempt that starts now, in this process.
+
+    Args:
+        config: the run's.
+        fingerprint: of the environment: its packages, and a hash of its true reward on fixed states.
+        argv: the command that asked for the run.
+        attempt: its number.
+    """
+    return {
+        "python": platform.python_version(),
+        "platform": f"{platform.system()} {platform.machine()}",
+        "cpu": cpu_model(),
+        "versions": {name: version(name) or "absent" for name in PACKAGES},
+        "code": code_digest("rrm"),
+        "config": hashlib.sha256(json.dumps(config, sort_keys=True).encode()).hexdigest()[:16],
+        "fingerprint": dict(fingerprint),
+        "precision": str(config["precision"]),
+        "threads": int(config["threads"]),
+        "started": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
+        "host": socket.gethostname(),
+        "argv": list(argv),
+        "attempt": attempt,
+    }
 
 
 def read_provenance(folder: RunFolder) -> dict[str, Any] | None:
-    """The run's `provenance.json`; None where it was never started.
-
-    Raises:
-        DamagedError: the file is damaged.
-        StorageError: it cannot be read now.
-        VersionError: it is of another schema version.
-    """
-    known = read_json(folder.provenance)
-    if known is not None:
-        hint = "move it away; what the run ran with until now is then unknown"
-        validation.check_version(dict(known), folder.provenance, hint)
-        try:
-            _check(known)
-        except (AttributeError, TypeError, ValueError, KeyError) as problem:
-            raise DamagedError(f"{folder.provenance} is damaged: {problem}", hint) from problem
-    return known
+    """The run's `provenance.json`; None where it was never started."""
+    hint = "move it away; what the run ran with until now is then unknown"
+    stored = read_json(folder.provenance, hint)
+    if stored is not None:
+        check_version(stored.get("schema_version"), folder.provenance, hint)
+        validated(_Recorded, stored, folder.provenance, hint, "started argv versions resumed")
+    return stored
 
 
-def _check(known: Mapping[str, Any]) -> None:
-    """See that what is read of it can be."""
-    datetime.datetime.fromisoformat(known.get("started", "2000-01-01"))
-    " ".join(known.get("argv", ()))
-    known.get("versions", {}).items()
-    for entry in known.get("resumed", ()):
-        for _before, _after in entry["changes"].values():
-            pass
+@dataclasses.dataclass(frozen=True)
+class _Resumption:
+    changes: dict[str, tuple[Any, Any]]  #: before and after, by name
+
+
+@dataclasses.dataclass(frozen=True)
+class _Recorded:
+    """What others read of a file, of whatever version of the program."""
+
+    started: Annotated[StrictStr, AfterValidator(datetime.datetime.fromisoformat)] = ""
+    argv: tuple[StrictStr, ...] = ()
+    versions: dict[str, Any] = dataclasses.field(default_factory=dict)
+    resumed: tuple[_Resumption, ...] = ()
 
 
 def asked_by(folder: RunFolder) -> list[str]:
     """The command that asked for the run's first attempt; empty where that is not known."""
     try:
-        known = read_provenance(folder) or {}
+        return list((read_provenance(folder) or {}).get("argv", []))
     except UserError:
         return []
-    return list(map(str, known.get("argv", [])))
 
 
-def record(folder: RunFolder, now: Provenance) -> list[str]:
+def record(folder: RunFolder, facts: Mapping[str, Any]) -> list[str]:
     """Write the provenance of a run's first attempt, or add that of a later one.
 
     Where earlier attempts have left something and their provenance is gone, what is written is marked `lost`.
 
     Returns:
         What differs from the attempt before, one line each, such as `versions.torch: 2.6.0 -> 2.7.1`.
-
-    Raises:
-        DamagedError, VersionError: the file that is there is damaged, or of another version.
-        StorageError: the folder takes no write.
     """
-    known = read_provenance(folder)
-    facts = dataclasses.asdict(now)
-    if known is None:
+    stored = read_provenance(folder)
+    if stored is None:
         lost = {"lost": True} if folder.curve.exists() or folder.checkpoint.exists() else {}
         write_json(folder.provenance, {"schema_version": SCHEMA_VERSION, **facts, **lost, "resumed": []})
         return []
-    changes = differences(_latest(known), facts)
-    entry = {name: facts[name] for name in _CIRCUMSTANCES} | {"changes": changes}
-    known["resumed"] = [*known.get("resumed", []), entry]
-    write_json(folder.provenance, known)
+    old, new = _flat(stored), _flat(facts)
+    for entry in stored.get("resumed", []):
+        old |= {name: after for name, (_, after) in entry["changes"].items()}
+    pairs = {name: (old.get(name, "absent"), new.get(name, "absent")) for name in sorted(old | new)}
+    changes = {name: pair for name, pair in pairs.items() if pair[0] != pair[1]}
+    resumed = {name: facts[name] for name in _CIRCUMSTANCES} | {"changes": changes}
+    write_json(folder.provenance, stored | {"resumed": [*stored.get("resumed", []), resumed]})
     return [f"{name}: {before} -> {after}" for name, (before, after) in changes.items()]
 
 
-def made_with(folder: RunFolder) -> dict[str, str]:
-    """The compared facts of a run by dotted name; `a, then b` where a later attempt differed. Empty without a record.
-
-    Raises:
-        UserError: the file that is there is damaged, cannot be read now, or is of another schema version.
-    """
-    known = read_provenance(folder)
-    if known is None:
+def made_with(stored: Mapping[str, Any] | None) -> dict[str, str]:
+    """The compared facts of a run by dotted name, as its file has them; `a, then b` where a later attempt differed."""
+    if stored is None:
         return {}
-    facts = {name: f"unknown, then {value}" if known.get("lost") else value for name, value in _flat(known).items()}
-    for entry in known.get("resumed", []):
+    facts = {name: f"unknown, then {value}" if stored.get("lost") else value for name, value in _flat(stored).items()}
+    for entry in stored.get("resumed", []):
         for name, (before, after) in entry["changes"].items():
             facts[name] = f"{facts.get(name, before)}, then {after}"
     return facts
-
-
-def differences(before: Mapping[str, Any], after: Mapping[str, Any]) -> dict[str, tuple[str, str]]:
-    """Facts that can change numbers and differ, by dotted name, with both values; one that is missing is "absent"."""
-    old, new = _flat(before), _flat(after)
-    pairs = {name: (old.get(name, "absent"), new.get(name, "absent")) for name in sorted(old | new)}
-    return {name: pair for name, pair in pairs.items() if pair[0] != pair[1]}
 
 
 def version(package: str) -> str | None:
@@ -178,22 +190,8 @@ def code_digest(package: str) -> str:
     return digest.hexdigest()[:16]
 
 
-def _latest(known: Mapping[str, Any]) -> dict[str, Any]:
-    """The first attempt's facts with the changes of every resumption applied."""
-    facts = _flat(known)
-    for entry in known.get("resumed", []):
-        facts |= {name: after for name, (_, after) in entry["changes"].items()}
-    return facts
-
-
 def _flat(facts: Mapping[str, Any]) -> dict[str, str]:
-    """The compared facts as text, by dotted name; facts that are flat already stay as they are."""
-    flat: dict[str, str] = {}
-    for name, value in facts.items():
-        if name in (*_CIRCUMSTANCES, "resumed", "lost", "schema_version"):
-            continue
-        if isinstance(value, Mapping):
-            flat |= {f"{name}.{key}": str(item) for key, item in value.items()}
-        else:
-            flat[name] = str(value)
-    return flat
+    """The compared facts as text, by dotted name."""
+    left_out = (*_CIRCUMSTANCES, "resumed", "lost", "schema_version")
+    compared = {name: value for name, value in facts.items() if name not in left_out}
+    return {name: str(value) for name, value in settings(compared).items()}

@@ -7,12 +7,11 @@ from collections import defaultdict
 from collections.abc import Iterable, Mapping
 
 from rrmctl.store.layout import Layout
-from rrmctl.store.reader import statuses
-from rrmctl.store.status import RunState, Status
-from rrmctl.store.sweeps import JobRecord, readable_sweeps
+from rrmctl.store.status import RunState, Status, statuses
+from rrmctl.store.sweeps import Job, readable_sweeps
 
 
-def speeds(jobs: Iterable[JobRecord], states: Mapping[str, Status]) -> dict[tuple[str, str], float]:
+def speeds(jobs: Iterable[Job], states: Mapping[str, Status]) -> dict[tuple[str, str], float]:
     """The median speed of what has run so far, by task and method."""
     seen: defaultdict[tuple[str, str], list[float]] = defaultdict(list)
     for job in jobs:
@@ -29,7 +28,7 @@ def stored_speeds(layout: Layout, known: Mapping[str, Status] | None = None) -> 
     Args:
         known: where some of the runs stand, by id, as read already.
     """
-    states, jobs = dict(known or {}), defaultdict[str, list[JobRecord]](list)
+    states, jobs = dict(known or {}), defaultdict[str, list[Job]](list)
     for sweep in readable_sweeps(layout)[0]:
         states |= statuses(layout, (job for job in sweep.everything if job.id not in states))
         jobs[sweep.variant] += sweep.everything

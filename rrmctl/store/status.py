@@ -1,27 +1,24 @@
-"""The small JSON records of a run: what it is, and where it stands."""
+"""Where a run stands: its small JSON record, the end of its log, and what others make of both."""
 
 from __future__ import annotations
 
 import dataclasses
 import os
-from collections.abc import Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass
 from enum import StrEnum
-from pathlib import Path
-from typing import Any, Self
 
+from pydantic import ConfigDict, StrictBool, StrictFloat, StrictInt, StrictStr
+
+from rrm.files import open_regular
 from rrmctl.commands import rrmctl
-from rrmctl.store import validation
-from rrmctl.store.files import (
-    PATIENCE_S,
-    DamagedError,
-    read_json,
-    set_aside,
-    write_json,
-)
-from rrmctl.store.layout import RunFolder
-from rrmctl.store.owner import lock_free
+from rrmctl.store.files import DamagedError, StorageError
+from rrmctl.store.layout import Layout, RunFolder
+from rrmctl.store.locks import PATIENCE_S
+from rrmctl.store.owner import is_owned, lock_free
+from rrmctl.store.records import read_record, write_json
 from rrmctl.store.schema import SCHEMA_VERSION
+from rrmctl.store.sweeps import Job
 
 
 class RunState(StrEnum):
@@ -34,7 +31,7 @@ class RunState(StrEnum):
     FAILED = "failed"  #: its own fault; see the error
     DONE = "done"
     UNREADABLE = "unreadable"  #: its status file is damaged, or cannot be read now
-    BLOCKED = "blocked"  #: a run that it needs has failed; never written, see `rrmctl.store.reader.statuses`
+    BLOCKED = "blocked"  #: a run that it needs has failed; never written, see `statuses`
 
 
 class ErrorKind(StrEnum):
@@ -57,107 +54,54 @@ class RunError:
     """What stopped a run."""
 
     kind: ErrorKind
-    type: str  #: the exception's class, or the signal's name
-    message: str
+    type: StrictStr  #: the exception's class, or the signal's name
+    message: StrictStr
 
     def __str__(self) -> str:
         # A place, a file or a run is named by the message; the class says no more.
         named = self.kind in (ErrorKind.STORAGE, ErrorKind.MISSING, ErrorKind.WAITING, ErrorKind.BLOCKED)
         return self.message if named else f"{self.type}: {self.message}"
 
-    @classmethod
-    def from_json(cls, value: Mapping[str, Any]) -> Self:
-        """The inverse of `dataclasses.asdict`."""
-        return cls(kind=ErrorKind(value["kind"]), type=str(value["type"]), message=str(value["message"]))
-
 
 @dataclass(frozen=True, kw_only=True)
 class Status:
     """Contents of `status.json`. Times are seconds since the epoch, steps are environment steps."""
 
+    __pydantic_config__ = ConfigDict(extra="forbid")
+
     state: RunState = RunState.QUEUED
-    attempt: int = 0  #: how often a worker took the run up
-    step: int = 0  #: reached at the last heartbeat
-    steps: int = 0  #: of the whole run
-    rows: int = 0  #: evaluations known to be in the curve
-    success: float | None = None  #: of the last evaluation
-    true_return: float | None = None  #: of the last evaluation
-    steps_per_s: float | None = None
-    wall_s: float | None = None  #: training time at the last evaluation, seconds
-    pid: int | None = None
-    host: str | None = None
-    started: float | None = None  #: when the last attempt began
-    heartbeat: float | None = None
-    discard: bool = False  #: what the run holds is to be removed before it starts again
+    attempt: StrictInt = 0  #: how often a worker took the run up
+    step: StrictInt = 0  #: reached at the last heartbeat
+    steps: StrictInt = 0  #: of the whole run
+    rows: StrictInt = 0  #: evaluations known to be in the curve
+    success: StrictFloat | None = None  #: of the last evaluation
+    true_return: StrictFloat | None = None  #: of the last evaluation
+    steps_per_s: StrictFloat | None = None
+    wall_s: StrictFloat | None = None  #: training time at the last evaluation, seconds
+    pid: StrictInt | None = None
+    host: StrictStr | None = None
+    started: StrictFloat | None = None  #: when the last attempt began
+    heartbeat: StrictFloat | None = None
+    discard: StrictBool = False  #: what the run holds is to be removed before it starts again
     error: RunError | None = None
-
-    def to_json(self) -> dict[str, Any]:
-        """A JSON object; `from_json` is the inverse."""
-        return {"schema_version": SCHEMA_VERSION, **dataclasses.asdict(self)}
-
-    @classmethod
-    def from_json(cls, value: dict[str, Any], path: Path) -> Self:
-        """The status read from `path`.
-
-        Raises:
-            VersionError: it is of another schema version.
-            DamagedError: it lacks or mistakes a field.
-        """
-        content, hint = dict(value), _hint(path)
-        validation.check_version(content, path, hint)
-        validation.check(content, _STATUS, path, hint)
-        error = content.pop("error")
-        if error is not None:
-            validation.check(error, _ERROR, path, hint, "error.")
-        try:
-            state = RunState(content.pop("state"))
-            return cls(**content, state=state, error=None if error is None else RunError.from_json(error))
-        except (TypeError, ValueError) as problem:  # a word that is no state, a field nobody knows
-            raise DamagedError(f"{path} is damaged: {problem}", hint) from problem
-
-
-def _hint(path: Path) -> str:
-    resume = rrmctl("resume", results=RunFolder(path.parent).results)
-    return f"move it away: `{resume}` goes on from the curve and the checkpoint"
-
-
-_ERROR = dict.fromkeys(("kind", "type", "message"), validation.TEXT)
-
-_STATUS = (
-    {"state": validation.TEXT, "discard": validation.FLAG, "error": validation.OBJECT + validation.NONE}
-    | dict.fromkeys(("attempt", "step", "steps", "rows"), validation.WHOLE)
-    | dict.fromkeys(
-        ("success", "true_return", "steps_per_s", "wall_s", "started", "heartbeat"), validation.NUMBER + validation.NONE
-    )
-    | {"pid": validation.WHOLE + validation.NONE, "host": validation.TEXT + validation.NONE}
-)
 
 
 def read_status(folder: RunFolder) -> Status:
-    """The run's status as written; a fresh one where there is none.
-
-    Raises:
-        DamagedError: the file is damaged.
-        StorageError: it cannot be read now.
-        VersionError: it is of another schema version.
-    """
-    value = read_json(folder.status)
-    return Status() if value is None else Status.from_json(value, folder.status)
+    """The run's status as written; a fresh one where there is none."""
+    resume = rrmctl("resume", results=folder.results)
+    hint = f"move it away: `{resume}` goes on from the curve and the checkpoint"
+    return read_record(Status, folder.status, hint) or Status()
 
 
 def write_status(folder: RunFolder, status: Status) -> None:
     """Replace the run's status. Only for the holder of its lock."""
-    write_json(folder.status, status.to_json())
+    write_json(folder.status, {"schema_version": SCHEMA_VERSION, **dataclasses.asdict(status)})
 
 
 def record_failure(folder: RunFolder, error: RunError) -> None:
     """Record that a run failed whose worker could not say so, if that is its end (`ErrorKind.DAMAGED` is not).
 
     Leaves a run alone that another process owns by now.
-
-    Raises:
-        StorageError: the folder takes no write.
-        DamagedError, VersionError: its status is damaged, or of another version.
     """
     lock = None if error.kind is ErrorKind.DAMAGED else lock_free(folder, PATIENCE_S)
     if lock is None:
@@ -170,22 +114,64 @@ def record_failure(folder: RunFolder, error: RunError) -> None:
         os.close(lock)
 
 
-def record_config(folder: RunFolder, content: dict[str, Any]) -> str | None:
-    """Write the run's `config.json` unless it says the same already. A damaged one is set aside first.
+def run_status(folder: RunFolder) -> Status:
+    """Where the run stands now: one that says it is running while nobody owns it is interrupted.
 
-    Returns:
-        What a person should know of a file that was set aside.
+    A status file that is damaged, or cannot be read now, gives the state `unreadable` with the reason.
 
     Raises:
-        StorageError: the results folder takes no write.
+        VersionError: it is of another schema version.
     """
-    note = None
     try:
-        known = read_json(folder.config)
-    except DamagedError as error:
-        known = None
-        if folder.config.exists():
-            note = f"{error}; set aside as {set_aside(folder.config, 'corrupt').name} and written anew"
-    if known != content:
-        write_json(folder.config, content)
-    return note
+        status = read_status(folder)
+        if status.state is RunState.RUNNING and not is_owned(folder):
+            return dataclasses.replace(status, state=RunState.INTERRUPTED)
+    except (DamagedError, StorageError) as error:
+        problem = RunError(kind=ErrorKind.STORAGE, type=type(error).__name__, message=str(error))
+        return Status(state=RunState.UNREADABLE, error=problem)
+    return status
+
+
+def statuses(layout: Layout, jobs: Iterable[Job]) -> dict[str, Status]:
+    """Status of every run named by `jobs`, by id. Ten thousand take well under a second.
+
+    A run that is not done while one that it needs, and that is named as well, has failed is blocked, for its reason.
+    """
+    requires = {job.id: job.requires for job in jobs}
+    states = {run: run_status(layout.run(run)) for run in requires}
+
+    def look(run: str, above: frozenset[str] = frozenset()) -> Status:
+        if states[run].state in _WAITING:
+            # Records that were put together by hand may need each other in a circle.
+            for needed in (needed for needed in requires[run] if needed in states and needed not in above):
+                cause = look(needed, above | {run})
+                if cause.state in (RunState.FAILED, RunState.BLOCKED):
+                    error = blocked_by(needed, cause.error)
+                    states[run] = dataclasses.replace(states[run], state=RunState.BLOCKED, error=error)
+                    break
+        return states[run]
+
+    return {run: look(run) for run in requires}
+
+
+_WAITING = (RunState.QUEUED, RunState.INTERRUPTED, RunState.WAITING)
+
+
+def blocked_by(run: str, error: RunError | None) -> RunError:
+    """What keeps a run from starting: the failure of another, which it needs."""
+    if error is not None and error.kind is ErrorKind.BLOCKED:
+        return error  # the first cause says it all
+    reason = f"run {run}, which it needs, failed: {error or 'no reason was recorded'}"
+    return RunError(kind=ErrorKind.BLOCKED, type="Blocked", message=reason)
+
+
+def log_tail(folder: RunFolder, lines: int = 15) -> list[str]:
+    """The last lines of a run's log; none where it has not started, and why where it cannot be read."""
+    try:
+        with open_regular(folder.log) as file:
+            file.seek(max(0, file.seek(0, os.SEEK_END) - 400 * lines))
+            return file.read().decode(errors="replace").splitlines()[-lines:]
+    except (FileNotFoundError, NotADirectoryError):
+        return []
+    except OSError as error:
+        return [f"{folder.log} cannot be read: {error.strerror}"]

@@ -1,35 +1,45 @@
-"""The record of what a sweep asked for: its jobs, and the runs that they are."""
+"""The record of what a sweep asked for: its jobs, the runs that they are, and runs that no record asks for any more."""
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import graphlib
+import os
+import shutil
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Protocol, Self
+from typing import Any
 
+from pydantic import ConfigDict, StrictInt, StrictStr
+
+from rrm.files import sync_folder
 from rrmctl.errors import UserError
 from rrmctl.labels import Label
-from rrmctl.store import validation
-from rrmctl.store.files import DamagedError, StorageError, locked, read_json, remove_leftovers, set_aside, write_json
-from rrmctl.store.layout import Layout
+from rrmctl.store.files import DamagedError, StorageError, remove_leftovers, set_aside, storage_error
+from rrmctl.store.layout import Layout, RunFolder, never_run
+from rrmctl.store.locks import PATIENCE_S, locked
+from rrmctl.store.owner import lock_free
+from rrmctl.store.records import RunId, read_record, write_json
 from rrmctl.store.schema import SCHEMA_VERSION
 
 
 @dataclass(frozen=True, kw_only=True)
-class JobRecord:
+class Job:
     """One planned job: which run it is, and what it is called in its experiment."""
 
-    id: str
-    cell: str
-    task: str
-    method: str
-    teacher: str
-    feedback: str
-    seed: int
-    steps: int
-    requires: tuple[str, ...] = ()  #: ids of the runs that must be done before it
+    __pydantic_config__ = ConfigDict(extra="forbid")
+
+    id: RunId  #: the run's identity
+    cell: StrictStr  #: the identity of all seeds together
+    task: StrictStr
+    method: StrictStr
+    teacher: StrictStr  #: `NOTHING_ASKED` where nothing is
+    feedback: StrictStr  #: "50@5000/5000": queries of a session, steps between sessions, queries in all; or the same
+    seed: StrictInt
+    steps: StrictInt  #: of the whole run
+    requires: tuple[RunId, ...] = ()  #: ids of the runs that must be done before it
 
     @property
     def row(self) -> Label:
@@ -51,26 +61,28 @@ class JobRecord:
 class SweepRecord:
     """What `run` was asked for: one variant (profile and overrides) of an experiment."""
 
-    experiment: str
-    variant: str
-    profile: str
+    __pydantic_config__ = ConfigDict(extra="forbid")
+
+    experiment: StrictStr
+    variant: StrictStr
+    profile: StrictStr
     overrides: dict[str, Any] = field(default_factory=dict)
-    jobs: tuple[JobRecord, ...] = ()
-    needed: tuple[JobRecord, ...] = ()  #: runs that jobs need; nothing reports them, and some may be jobs as well
-    priors: tuple[str, ...] = ()  #: of `--prior`, which added methods to those of the manifest
-    superseded: tuple[JobRecord, ...] = ()  #: another run was asked for in their place, of other settings or files
+    jobs: tuple[Job, ...] = ()
+    needed: tuple[Job, ...] = ()  #: runs that jobs need; nothing reports them, and some may be jobs as well
+    priors: tuple[StrictStr, ...] = ()  #: of `--prior`, which added methods to those of the manifest
+    superseded: tuple[Job, ...] = ()  #: another run was asked for in their place, of other settings or files
 
     @property
-    def everything(self) -> tuple[JobRecord, ...]:
+    def everything(self) -> tuple[Job, ...]:
         """Every run, those that are only needed first; one that several rows share is there for each of them."""
         return (*self.merely_needed, *self.jobs)
 
     @property
-    def merely_needed(self) -> tuple[JobRecord, ...]:
+    def merely_needed(self) -> tuple[Job, ...]:
         """Runs that jobs need and that are no jobs themselves."""
-        known = {job.id: job for job in (*self.superseded, *self.needed)}
-        wanted = required(self.jobs, known.values()) - {job.id for job in self.jobs}
-        return tuple(job for run, job in known.items() if run in wanted)
+        others = {job.id: job for job in (*self.superseded, *self.needed)}
+        wanted = required(self.jobs, others.values()) - {job.id for job in self.jobs}
+        return tuple(job for run, job in others.items() if run in wanted)
 
     def union(self, other: SweepRecord) -> SweepRecord:
         """With the jobs of another record of the same variant, asked for later, in order of first appearance."""
@@ -79,125 +91,52 @@ class SweepRecord:
         priors = tuple(dict.fromkeys((*self.priors, *other.priors)))
         return dataclasses.replace(self, jobs=jobs, superseded=superseded, needed=needed, priors=priors)
 
-    def to_json(self) -> dict[str, Any]:
-        """A JSON object; `from_json` is the inverse. Superseded jobs stand before what replaced them."""
-        order = {job.place: at for at, job in enumerate(self.jobs)}
-        jobs = sorted((*self.superseded, *self.jobs), key=lambda job: order[job.place])
-        content = dataclasses.asdict(dataclasses.replace(self, jobs=tuple(jobs)))
-        left_out = {"superseded", *(() if self.priors else ("priors",))}  # earlier programs know no priors
-        return {"schema_version": SCHEMA_VERSION, **{key: content[key] for key in content if key not in left_out}}
 
-    @classmethod
-    def from_json(cls, value: dict[str, Any], path: Path) -> Self:
-        """The record read from `path`.
-
-        Raises:
-            VersionError: it is of another schema version.
-            DamagedError: it lacks or mistakes a field, or is another sweep's: files are named after what it says.
-        """
-        content, hint = dict(value), _sweep_hint(path)
-        validation.check_version(content, path, hint)
-        validation.check(content, _SWEEP, path, hint)
-        if (content["experiment"], content["variant"]) != (path.parent.name, path.stem):
-            told = f"{content['experiment']!r} ({content['variant']!r})"
-            raise DamagedError(f"{path} is damaged: it is the record of {told}", hint)
-        try:
-            named, needed = (_jobs(content.pop(name, []), name, path) for name in ("jobs", "needed"))
-            _check_order((*named, *needed), path)
-            jobs, superseded = _told_apart(named)
-            priors = content.pop("priors", [])
-            validation.check({"priors": priors}, {"priors": validation.LIST}, path, hint)
-            texts = {f"priors[{number}]": prior for number, prior in enumerate(priors)}
-            validation.check(texts, dict.fromkeys(texts, validation.TEXT), path, hint)
-            return cls(**content, jobs=jobs, superseded=superseded, needed=needed, priors=tuple(priors))
-        except TypeError as problem:  # a field nobody knows
-            raise DamagedError(f"{path} is damaged: {problem}", hint) from problem
+def write_sweep(path: Path, sweep: SweepRecord) -> None:
+    """Superseded jobs stand before what replaced them."""
+    order = {job.place: at for at, job in enumerate(sweep.jobs)}
+    jobs = sorted((*sweep.superseded, *sweep.jobs), key=lambda job: order[job.place])
+    content = {"schema_version": SCHEMA_VERSION, **dataclasses.asdict(dataclasses.replace(sweep, jobs=tuple(jobs)))}
+    del content["superseded"]
+    if not sweep.priors:
+        del content["priors"]  # earlier programs know none
+    write_json(path, content)
 
 
-def _told_apart(named: Sequence[JobRecord]) -> tuple[tuple[JobRecord, ...], tuple[JobRecord, ...]]:
+def _told_apart(named: Sequence[Job]) -> tuple[tuple[Job, ...], tuple[Job, ...]]:
     """Of jobs that were named one after the other, the last in each place; and those that they superseded."""
     latest = {job.place: job for job in named}
     return tuple(latest.values()), tuple(dict.fromkeys(job for job in named if latest[job.place].id != job.id))
 
 
-class Requiring(Protocol):
-    """A planned or recorded job."""
-
-    @property
-    def id(self) -> str:
-        """Of its run."""
-
-    @property
-    def requires(self) -> tuple[str, ...]:
-        """Ids of the runs that must be done before it."""
-
-
-def required(jobs: Iterable[Requiring], known: Iterable[Requiring]) -> set[str]:
-    """Ids of the runs that jobs need, and that those need, as far as they are known."""
-    requires = {job.id: job.requires for job in known}
-    left, found = [run for job in jobs for run in job.requires], set[str]()
+def required(jobs: Iterable[Job], among: Iterable[Job]) -> set[str]:
+    """Ids of the runs that jobs need, and that those need, as far as they are among."""
+    requires = {job.id: job.requires for job in among}
+    left, needed = [run for job in jobs for run in job.requires], set[str]()
     while left:
         run = left.pop()
-        left += () if run in found else requires.get(run, ())
-        found.add(run)
-    return found
-
-
-_SWEEP = {
-    **dict.fromkeys(("experiment", "variant", "profile"), validation.TEXT),
-    "overrides": validation.OBJECT,
-    "jobs": validation.LIST,
-}
-
-_JOB = dict.fromkeys(("id", "cell", "task", "method", "teacher", "feedback"), validation.TEXT) | dict.fromkeys(
-    ("seed", "steps"), validation.WHOLE
-)
-
-
-def _jobs(values: Any, name: str, path: Path) -> tuple[JobRecord, ...]:
-    validation.check({name: values}, {name: validation.LIST}, path, _sweep_hint(path))
-    return tuple(_job(value, f"{name}[{number}]", path) for number, value in enumerate(values))
-
-
-def _job(value: Any, where: str, path: Path) -> JobRecord:
-    hint = _sweep_hint(path)
-    validation.check({where: value}, {where: validation.OBJECT}, path, hint)
-    validation.check(value, _JOB, path, hint, f"{where}.")
-    validation.check_run_id(value["id"], path, hint, f"{where}.id")
-    requires = value.get("requires", [])
-    validation.check({f"{where}.requires": requires}, {f"{where}.requires": validation.LIST}, path, hint)
-    for run in requires:
-        validation.check({f"{where}.requires": run}, {f"{where}.requires": validation.TEXT}, path, hint)
-        validation.check_run_id(run, path, hint, f"{where}.requires")
-    return JobRecord(**{**value, "requires": tuple(requires)})
-
-
-def _check_order(jobs: Sequence[JobRecord], path: Path) -> None:
-    requires = {job.id: job.requires for job in jobs if job.requires}
-    try:
-        graphlib.TopologicalSorter(requires).prepare()
-    except graphlib.CycleError as problem:
-        circle = ", ".join(problem.args[1])
-        raise DamagedError(
-            f"{path} is damaged: runs need each other in a circle: {circle}", _sweep_hint(path)
-        ) from None
-
-
-def _sweep_hint(path: Path) -> str:
-    return (
-        f"the `rrmctl run {path.parent.name} ...` that made it sets it aside, makes it again and trains nothing twice"
-    )
+        left += () if run in needed else requires.get(run, ())
+        needed.add(run)
+    return needed
 
 
 def read_sweeps(layout: Layout, experiment: str | None = None) -> list[SweepRecord]:
-    """All variants of an experiment, or of all experiments, sorted by experiment and variant.
-
-    Raises:
-        UserError: a record is damaged, cannot be read now, or is of another schema version.
-    """
+    """All variants of an experiment, or of all experiments, sorted by experiment and variant."""
     sweeps, damage = readable_sweeps(layout, experiment)
     if damage:
         raise damage[0]
+    return sweeps
+
+
+def find_sweeps(layout: Layout, experiment: str) -> list[SweepRecord]:
+    """The variants of an experiment that were run here.
+
+    Raises:
+        UserError: none was; the message lists what is there.
+    """
+    sweeps = read_sweeps(layout, experiment)
+    if not sweeps:
+        raise never_run(layout, experiment)
     return sweeps
 
 
@@ -222,25 +161,28 @@ def readable_sweeps(layout: Layout, experiment: str | None = None) -> tuple[list
 
 
 def read_sweep(path: Path) -> SweepRecord | None:
-    """The record in this file; None where there is none.
-
-    Raises:
-        UserError: it is damaged, cannot be read now, or is of another schema version.
-    """
+    """The record in this file; None where there is none."""
+    command = f"the `rrmctl run {path.parent.name} ...` that made it"
+    hint = f"{command} sets it aside, makes it again and trains nothing twice"
+    sweep = read_record(SweepRecord, path, hint, "needed priors superseded")
+    if sweep is None:
+        return None
+    if (sweep.experiment, sweep.variant) != (path.parent.name, path.stem):  # files are named after what they say
+        problem = f"it is the record of {sweep.experiment!r} ({sweep.variant!r})"
+        raise DamagedError(f"{path} is damaged: {problem}", hint)
     try:
-        value = read_json(path)
-    except DamagedError as error:
-        raise DamagedError(str(error), _sweep_hint(path)) from error
-    return None if value is None else SweepRecord.from_json(value, path)
+        graphlib.TopologicalSorter(
+            {job.id: job.requires for job in (*sweep.jobs, *sweep.needed) if job.requires}
+        ).prepare()
+    except graphlib.CycleError as error:
+        problem = f"runs need each other in a circle: {', '.join(error.args[1])}"
+        raise DamagedError(f"{path} is damaged: {problem}", hint) from None
+    jobs, superseded = _told_apart(sweep.jobs)
+    return dataclasses.replace(sweep, jobs=jobs, superseded=superseded)
 
 
 def set_damaged_aside(layout: Layout, path: Path) -> str | None:
-    """Make room for a new record where the one at `path` is damaged; what a person should know of that.
-
-    Raises:
-        StorageError: it cannot be read now, or the results folder takes no write.
-        VersionError: it is of another schema version.
-    """
+    """Make room for a new record where the one at `path` is damaged; what a person should know of that."""
     with locked(layout.sweep_lock(path.parent.name)):
         try:
             read_sweep(path)
@@ -251,17 +193,61 @@ def set_damaged_aside(layout: Layout, path: Path) -> str | None:
 
 
 def record_sweep(layout: Layout, asked: SweepRecord) -> SweepRecord:
-    """Add what was asked for to the sweep's record, and return the union. Any number of processes may do so at once.
-
-    Raises:
-        StorageError: the results folder takes no write.
-        DamagedError, VersionError: the record that is there is damaged, or of another version.
-    """
+    """Add what was asked for to the sweep's record, and return the union. Any number of processes may do so at once."""
     path = layout.sweep(asked.experiment, asked.variant)
     with locked(layout.sweep_lock(asked.experiment)):
         remove_leftovers(path.parent)
-        known = read_sweep(path)
-        union = (known or asked).union(asked)
-        if union != known:
-            write_json(path, union.to_json())
+        recorded = read_sweep(path)
+        union = (recorded or asked).union(asked)
+        if union != recorded:
+            write_sweep(path, union)
     return union
+
+
+def unused_runs(layout: Layout) -> list[str]:
+    """Ids of the runs below the results root that no record names, sorted.
+
+    Raises:
+        UserError: a record is damaged, cannot be read now, or is of another schema version: it may name any run.
+    """
+    named = {job.id for sweep in read_sweeps(layout) for job in sweep.everything}
+    return [run for run in layout.run_ids() if run not in named]
+
+
+def remove_unused(layout: Layout, runs: Iterable[str]) -> list[str]:
+    """Remove those of these runs that are unused still and that no process owns, each as a whole; their ids.
+
+    Records forget what was superseded and is gone. While it works no command records a sweep.
+
+    Raises:
+        StorageError: the results folder takes no write.
+        UserError: as `unused_runs`.
+    """
+    with contextlib.ExitStack() as recording_kept_out:
+        for experiment in layout.experiments():
+            recording_kept_out.enter_context(locked(layout.sweep_lock(experiment)))
+        for half in (layout.root / "runs").glob(".*.removed"):  # what was begun by one that was killed
+            shutil.rmtree(half)
+        gone = [run for run in unused_runs(layout) if run in set(runs) and _remove(layout.run(run))]
+        for sweep in read_sweeps(layout):
+            left = tuple(job for job in sweep.superseded if job.id not in gone)
+            if left != sweep.superseded:
+                write_sweep(layout.sweep(sweep.experiment, sweep.variant), dataclasses.replace(sweep, superseded=left))
+    return gone
+
+
+def _remove(run: RunFolder) -> bool:
+    """Remove a run's folder, unless a process owns the run. Renamed first: nobody finds half of it."""
+    lock = lock_free(run, PATIENCE_S)
+    if lock is None:
+        return False
+    aside = run.path.with_name(f".{run.id}.removed")
+    try:
+        run.path.rename(aside)
+        sync_folder(aside.parent)
+        shutil.rmtree(aside)
+    except OSError as error:
+        raise storage_error(run.path, error, "remove") from error
+    finally:
+        os.close(lock)
+    return True

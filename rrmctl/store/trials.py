@@ -3,47 +3,36 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass
-from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
+
+from pydantic import StrictFloat, StrictInt, StrictStr
 
 from rrmctl.errors import UserError
-from rrmctl.store import validation
-from rrmctl.store.files import DamagedError, locked, read_json, remove_leftovers, write_json
+from rrmctl.store.files import remove_leftovers
 from rrmctl.store.layout import Layout
+from rrmctl.store.locks import locked
+from rrmctl.store.records import read_record, write_json
 from rrmctl.store.schema import SCHEMA_VERSION
 
 
 class Pairing(NamedTuple):
     """Two methods that are compared, and where."""
 
-    task: str
-    teacher: str
-    feedback: str
-    method: str
-    against: str
+    task: StrictStr
+    teacher: StrictStr
+    feedback: StrictStr
+    method: StrictStr
+    against: StrictStr
 
 
 @dataclass(frozen=True, kw_only=True)
 class Trial:
     """The rules of one sequential test."""
 
-    group: int  #: seeds of each method between two looks
-    looks: int  #: at most
-    alpha: float  #: probability of any wrong decision
+    group: StrictInt  #: seeds of each method between two looks
+    looks: StrictInt  #: at most
+    alpha: StrictFloat  #: probability of any wrong decision
     pairs: tuple[Pairing, ...]  #: the comparisons that share it
-
-    @property
-    def seeds(self) -> int:
-        """The most seeds of a method."""
-        return self.group * self.looks
-
-    def to_json(self) -> dict[str, Any]:
-        """A JSON object."""
-        pairs = [pair._asdict() for pair in self.pairs]
-        return {"schema_version": SCHEMA_VERSION, **asdict(self), "pairs": pairs}
-
-
-_TRIAL = {**dict.fromkeys(("group", "looks"), validation.WHOLE), "pairs": validation.LIST}
 
 
 def read_trial(layout: Layout, experiment: str, variant: str) -> Trial | None:
@@ -53,8 +42,8 @@ def read_trial(layout: Layout, experiment: str, variant: str) -> Trial | None:
         UserError: its file is damaged, cannot be read now, or is of another schema version.
     """
     path = layout.trial(experiment, variant)
-    content = read_json(path)
-    return None if content is None else _from_json(content, path)
+    hint = "move it away to begin another test, whose error rate then no longer counts the looks of this one"
+    return read_record(Trial, path, hint)
 
 
 def begin_trial(layout: Layout, experiment: str, variant: str, trial: Trial) -> None:
@@ -67,12 +56,13 @@ def begin_trial(layout: Layout, experiment: str, variant: str, trial: Trial) -> 
     path = layout.trial(experiment, variant)
     with locked(layout.sweep_lock(experiment)):
         remove_leftovers(path.parent)
-        known = read_trial(layout, experiment, variant)
-        if known is None:
-            write_json(path, trial.to_json())
-        elif known != trial:
+        begun = read_trial(layout, experiment, variant)
+        if begun is None:
+            pairs = [pair._asdict() for pair in trial.pairs]
+            write_json(path, {"schema_version": SCHEMA_VERSION, **asdict(trial), "pairs": pairs})
+        elif begun != trial:
             raise UserError(
-                f"{path}: a test with other rules was begun here: {_rules(known)}; now asked for: {_rules(trial)}",
+                f"{path}: a test with other rules was begun here: {_rules(begun)}; now asked for: {_rules(trial)}",
                 "the options of then go on with it. Rules that change with what was seen control no error: "
                 "begin another test in another --results folder",
             )
@@ -81,15 +71,4 @@ def begin_trial(layout: Layout, experiment: str, variant: str, trial: Trial) -> 
 def _rules(trial: Trial) -> str:
     compared = "; ".join(dict.fromkeys(f"{pair.method} against {pair.against}" for pair in trial.pairs))
     tasks = ", ".join(dict.fromkeys(pair.task for pair in trial.pairs))
-    return f"groups of {trial.group} seeds, at most {trial.seeds}, {compared} on {tasks}"
-
-
-def _from_json(content: dict[str, Any], path: Path) -> Trial:
-    hint = "move it away to begin another test, whose error rate then no longer counts the looks of this one"
-    validation.check_version(content, path, hint)
-    validation.check(content, _TRIAL, path, hint)
-    try:
-        pairs = tuple(Pairing(**pair) for pair in content["pairs"])
-        return Trial(group=content["group"], looks=content["looks"], alpha=float(content["alpha"]), pairs=pairs)
-    except (KeyError, TypeError, ValueError) as problem:
-        raise DamagedError(f"{path} is damaged: {problem}", hint) from problem
+    return f"groups of {trial.group} seeds, at most {trial.group * trial.looks}, {compared} on {tasks}"

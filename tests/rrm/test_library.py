@@ -52,7 +52,7 @@ def test_what_is_trained_here_is_what_rrmctl_trains(shown, tmp_path):
     from rrmctl.running import worker
     from rrmctl.running.config_file import config_content
     from rrmctl.store.layout import Layout
-    from rrmctl.store.status import record_config
+    from rrmctl.store.provenance import record_config
 
     names, folder = shown
     there = Layout(tmp_path).run(names["config"].identity)

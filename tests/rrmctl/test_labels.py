@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from rrmctl.labels import NOTHING_ASKED, Label, knows, panels
-from rrmctl.store.sweeps import JobRecord
+from rrmctl.store.sweeps import Job
 
 ASKING = Label("toy-car", "pebble", "oracle", "5@50/20")
 SILENT = Label("toy-car", "oracle")
@@ -19,7 +19,7 @@ def test_a_label_says_what_is_asked() -> None:
 
 def test_a_run_is_called_by_its_row_and_seed() -> None:
     """The store's records say it as labels do."""
-    job = JobRecord(id="0" * 16, cell="1" * 16, **ASKING._asdict(), seed=3, steps=10)
+    job = Job(id="0" * 16, cell="1" * 16, **ASKING._asdict(), seed=3, steps=10)
     assert (job.row, job.label) == (ASKING, "toy-car pebble oracle 5@50/20 seed 3")
     assert SILENT.seeded(0) == "toy-car oracle seed 0"
 

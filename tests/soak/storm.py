@@ -16,9 +16,9 @@ from pathlib import Path
 
 from rrmctl.errors import Exit
 from rrmctl.running.local import LocalExecutor
-from rrmctl.running.supervisor import Assignment, Supervisor
-from rrmctl.store.reader import run_status
-from rrmctl.store.status import RunState, read_status
+from rrmctl.running.supervisor import Supervisor
+from rrmctl.store.status import RunState, read_status, run_status
+from rrmctl.store.sweeps import Job
 from tests.rrmctl.running.standin import COMMAND, STEP_S, expected, prepare
 from tests.rrmctl.running.test_supervisor import Record, rows
 
@@ -59,7 +59,7 @@ class Storm:
         """Run it under fire: all end, none twice, every row is there, and no reader sees an error."""
         watcher = Record()
         pool = Supervisor(
-            layout=self.layout, assignments=self.assigned, slots=WORKERS, watcher=watcher,
+            layout=self.layout, jobs=self.assigned, slots=WORKERS, watcher=watcher,
             executor=LocalExecutor(layout=self.layout, command=COMMAND),
         )  # fmt: skip
         began, cpu = time.monotonic(), _children_cpu_s()
@@ -81,7 +81,7 @@ class Storm:
             f"{self.cpu_s / self.starts:.2f} s of CPU for each of {self.starts} starts"
         )
 
-    def _attempts_of_one_end(self, job: Assignment) -> int:
+    def _attempts_of_one_end(self, job: Job) -> int:
         folder = self.layout.run(job.id)
         ends = re.findall(r"^--- done at step", folder.log.read_text(), re.MULTILINE)
         assert len(ends) <= 1  # none if it was killed when all was written but this line

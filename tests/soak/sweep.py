@@ -11,8 +11,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from rrmctl.store.curve import read_curve
 from rrmctl.store.layout import Layout
-from rrmctl.store.reader import read_curve
 from rrmctl.store.schema import TIMINGS
 
 PROGRAM = (sys.executable, "-c", "from rrmctl.cli.app import main; main()")

@@ -15,8 +15,8 @@ from pathlib import Path
 import rrm
 from rrmctl.export.bundle import RUN_COLUMNS, Bundle, Field, described
 from rrmctl.store.files import write_bytes
-from rrmctl.store.inventory import table
 from rrmctl.store.schema import SCHEMA_VERSION
+from rrmctl.store.snapshot import table
 
 #: Raised by one when a column of the files is added, removed, or changes its meaning.
 CSV_VERSION = 1

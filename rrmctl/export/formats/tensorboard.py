@@ -20,7 +20,8 @@ from typing import TYPE_CHECKING
 from rrmctl.export.bundle import Bundle
 from rrmctl.export.formats import require
 from rrmctl.store.files import write_bytes
-from rrmctl.store.inventory import Run, settings
+from rrmctl.store.records import settings
+from rrmctl.store.snapshot import Run
 
 if TYPE_CHECKING:
     from tensorboard.compat.proto.event_pb2 import Event

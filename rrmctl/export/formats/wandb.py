@@ -25,7 +25,8 @@ from rrm.environ import environment
 from rrmctl.errors import UserError
 from rrmctl.export.bundle import Bundle
 from rrmctl.export.formats import require
-from rrmctl.store.files import read_json, storage_error, write_json
+from rrmctl.store.files import storage_error
+from rrmctl.store.records import read_json, write_json
 
 #: In each exported run's folder: marks it as ours, and says what it holds.
 _MARK = "rrmctl.json"

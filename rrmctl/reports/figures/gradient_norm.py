@@ -18,7 +18,7 @@ from rrmctl.reports.series import Section, Series
 from rrmctl.reports.statistics import DEFAULTS, Statistics, Width
 from rrmctl.reports.styles import Looks
 from rrmctl.stats import IqmKind
-from rrmctl.store.gradients import load_gradients
+from rrmctl.store.curve import load_gradients
 
 #: Over the length of a run: norms jump from minibatch to minibatch.
 _BINS = 60

@@ -12,10 +12,10 @@ import numpy as np
 
 from rrmctl.reports.figure_layout import Axes, Figure, Slot, from_frames, sheet
 from rrmctl.reports.plot_elements import curves_slot, iqm_notes, line, panel_name, scaled
-from rrmctl.reports.series import Floats, Section, Series
+from rrmctl.reports.series import Section, Series
 from rrmctl.reports.statistics import DEFAULTS, Statistics
 from rrmctl.reports.styles import Looks
-from rrmctl.stats import IqmKind, iqm
+from rrmctl.stats import Floats, IqmKind, iqm
 
 #: Evaluations.
 WINDOW = 5

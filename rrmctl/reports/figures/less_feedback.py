@@ -21,10 +21,10 @@ from rrmctl.reports.figure_layout import Axes, Figure, Slot, from_frames, sheet
 from rrmctl.reports.iqm_curves import ALL_TASKS
 from rrmctl.reports.plot_elements import UNITS, score_axis, short_steps
 from rrmctl.reports.scores import read_together, score
-from rrmctl.reports.series import Floats, Section, Series
+from rrmctl.reports.series import Section, Series
 from rrmctl.reports.statistics import DEFAULTS, SURE, Statistics
 from rrmctl.reports.styles import Looks
-from rrmctl.stats import iqm
+from rrmctl.stats import Floats, iqm
 
 
 @dataclass(frozen=True, eq=False)

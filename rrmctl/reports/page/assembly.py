@@ -16,17 +16,16 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 
 import rrm
 from rrmctl.errors import UserError
-from rrmctl.reports import names as asked
 from rrmctl.reports.page.chapter import SEVERAL, Variant, chapter, gather, tables_at
 from rrmctl.reports.page.listings import TROUBLE, columns
 from rrmctl.reports.page.parts import Part, Table
 from rrmctl.reports.run_facts import total
-from rrmctl.reports.select import read_sections
+from rrmctl.reports.select import sections_of
 from rrmctl.reports.series import Section
 from rrmctl.reports.statistics import DEFAULTS, Statistics
 from rrmctl.reports.tables import explained
-from rrmctl.store.inventory import inventory
-from rrmctl.store.reader import open_results
+from rrmctl.store.layout import check_profile, chosen_experiments, open_results
+from rrmctl.store.snapshot import Snapshot
 
 
 def build(
@@ -47,16 +46,17 @@ def build(
     Raises:
         UserError: the store holds no run of an experiment or profile that is named, or none at all; a file is damaged.
     """
-    names = asked.experiments(open_results(results), experiments)
-    found = [each for name in names for each in _variants(results, name, allow_mixed=allow_mixed)]
-    asked.check_profile(profile, (str(each.runs[0].plan["profile"]) for each in found))
-    variants = [each for each in found if profile in (None, each.runs[0].plan["profile"])]
-    sections = [each.section for each in variants if isinstance(each.section, Section) and each.section.contained]
+    names = chosen_experiments(open_results(results), experiments)
+    variants = [one for name in names for one in _variants(Snapshot(results, name), name, allow_mixed=allow_mixed)]
+    check_profile(profile, (str(variant.runs[0].plan["profile"]) for variant in variants))
+    variants = [variant for variant in variants if profile in (None, variant.runs[0].plan["profile"])]
+    shown = (variant.section for variant in variants)
+    sections = [section for section in shown if isinstance(section, Section) and section.contained]
     gathered = gather(sections, settings)
     rules = [Part(title=title, rules=sentences) for title, sentences in explained().items()]
     parts = [
         _overview(variants),
-        *(chapter(each, gathered, settings) for each in variants),
+        *(chapter(variant, gathered, settings) for variant in variants),
         replace(tables_at(SEVERAL, "common", gathered), title="Across experiments"),
         Part(id="explained", title="How to read the tables", parts=rules, folded=True),
     ]
@@ -64,31 +64,31 @@ def build(
     return render(page, _command(results, experiments, profile, settings, allow_mixed))
 
 
-def _variants(results: str | Path, experiment: str, *, allow_mixed: bool) -> Iterator[Variant]:
+def _variants(store: Snapshot, experiment: str, *, allow_mixed: bool) -> Iterator[Variant]:
     """The variants of an experiment, with what may be averaged of each or why nothing may."""
-    runs, needed = inventory(results, experiment), inventory(results, experiment, needed=True)
+    runs, needed = store.runs(), store.runs(needed=True)
     names = dict.fromkeys(str(run.plan["variant"]) for run in runs)
-    shown: dict[str, Section | UserError] = {}
+    shown: dict[str, Section | UserError]
     try:
-        found = read_sections(results, experiment, allow_mixed=allow_mixed)
-        shown = {section.variant: section.refusal or section for section in found}
+        shown = {one.variant: one.refusal or one for one in sections_of(store, allow_mixed=allow_mixed)}
     except UserError as error:
         shown = dict.fromkeys(names, error)
-    for variant in names:
-        own, others = (tuple(run for run in group if run.plan["variant"] == variant) for group in (runs, needed))
-        yield Variant(experiment, variant, own, others, shown[variant])
+    for name in names:
+        own, others = (tuple(run for run in group if run.plan["variant"] == name) for group in (runs, needed))
+        yield Variant(experiment, name, own, others, shown[name])
 
 
 def _overview(variants: Sequence[Variant]) -> Part:
     shown = columns("experiment", "variant", "runs", "done", "failed", "steps", "labels", "wall_s")
-    whole, rows = total(run for variant in variants for run in variant.everything), []
-    for each in variants:
-        failed = len({run.id for run in each.everything if run.plan["state"] in TROUBLE})
-        named = {"experiment": each.experiment, "link": each.id, "variant": each.name, "failed": failed}
-        rows.append(named | total(each.everything))
-    told = f"{whole['done']} of {whole['runs']} planned runs are done."
+    rows = []
+    for variant in variants:
+        failed = len({run.id for run in variant.everything if run.plan["state"] in TROUBLE})
+        named = {"experiment": variant.experiment, "link": variant.id, "variant": variant.name, "failed": failed}
+        rows.append(named | total(variant.everything))
+    whole = total(run for variant in variants for run in variant.everything)
+    words = f"{whole['done']} of {whole['runs']} planned runs are done."
     table = Table("What this page holds, runs that others need included", shown, rows)
-    return Part(id="overview", title="Overview", paragraphs=[told], tables=[table])
+    return Part(id="overview", title="Overview", paragraphs=[words], tables=[table])
 
 
 def _command(

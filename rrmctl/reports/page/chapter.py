@@ -19,7 +19,7 @@ from rrmctl.reports.series import Section
 from rrmctl.reports.statistics import Statistics
 from rrmctl.reports.tables import kinds
 from rrmctl.reports.verdicts import Verdict
-from rrmctl.store.inventory import Run
+from rrmctl.store.snapshot import Run
 
 #: Bytes a figure may take as SVG; one with more in it, such as a cloud of points, becomes a PNG.
 MOST_BYTES = 300_000

@@ -12,7 +12,7 @@ from rrmctl.commands import run_commands
 from rrmctl.labels import NOTHING_ASKED
 from rrmctl.reports.page.parts import Column, Part, Table
 from rrmctl.reports.run_facts import GROUP, common_settings, differing_settings, makings, spending, total
-from rrmctl.store.inventory import Run
+from rrmctl.store.snapshot import Run
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -46,23 +46,26 @@ _HEADINGS = {
 
 def columns(*fields: str) -> list[Column]:
     """Columns of these fields."""
-    heads = [_HEADINGS.get(name, name.capitalize()) for name in fields]
     return [
-        Column(head, name, name in _NUMBERS, _NUMBERS.get(name, str)) for head, name in zip(heads, fields, strict=True)
+        Column(_HEADINGS.get(name, name.capitalize()), name, name in _NUMBERS, _NUMBERS.get(name, str))
+        for name in fields
     ]
 
 
 def parts(name: str, runs: Sequence[Run], needed: Sequence[Run]) -> Iterator[Part]:
     """The lists of a variant."""
     everything = [*runs, *needed]
+    shown = columns(*GROUP, "runs", "done", "steps", "queries", "labels", "wall_s", "steps_per_s")
+    last = dict.fromkeys(GROUP, "") | {"task": "all"} | total(everything)
+    spent = Table("What was spent", shown, spending(everything).to_dict("records"), last)
     common = _of_texts("Settings of all runs, values as JSON", common_settings(runs))
-    made = _of_texts("What runs were started with", makings(everything))
-    told = "Training time as the runs recorded it, on the machines below, while others ran beside them or not."
+    versions = _of_texts("What runs were started with", makings(everything))
+    words = "Training time as the runs recorded it, on the machines below, while others ran beside them or not."
     lists = [
-        Part(id="spent", title="Steps, feedback and time", paragraphs=[told], tables=[_spent(everything)]),
+        Part(id="spent", title="Steps, feedback and time", paragraphs=[words], tables=[spent]),
         Part(id="runs", title="Runs", tables=[_runs("Planned runs", runs), _runs("Runs that these need", needed)]),
         Part(id="settings", title="Settings", tables=[_differing(runs), common]),
-        Part(id="versions", title="Machines and versions", tables=[made]),
+        Part(id="versions", title="Machines and versions", tables=[versions]),
         _commands(runs),
     ]
     return (replace(part, id=f"{name}-{part.id}", folded=True) for part in lists)
@@ -70,31 +73,23 @@ def parts(name: str, runs: Sequence[Run], needed: Sequence[Run]) -> Iterator[Par
 
 def failures(runs: Sequence[Run]) -> list[tuple[str, str]]:
     """Reasons, the most frequent first, with the runs they stopped."""
-    found: dict[str, list[str]] = {}
+    reasons: dict[str, list[str]] = {}
     for run in {run.id: run for run in runs}.values():
         if run.plan["state"] in TROUBLE:
-            found.setdefault(run.plan["error"] or "no reason was recorded", []).append(f"{run.label} ({run.id})")
-    return [(why, "; ".join(stopped)) for why, stopped in sorted(found.items(), key=lambda item: -len(item[1]))]
-
-
-def _spent(runs: Sequence[Run]) -> Table:
-    shown = columns(*GROUP, "runs", "done", "steps", "queries", "labels", "wall_s", "steps_per_s")
-    last = dict.fromkeys(GROUP, "") | {"task": "all"} | total(runs)
-    return Table("What was spent", shown, spending(runs).to_dict("records"), last)
+            reasons.setdefault(run.plan["error"] or "no reason was recorded", []).append(f"{run.label} ({run.id})")
+    return [(why, "; ".join(stopped)) for why, stopped in sorted(reasons.items(), key=lambda item: -len(item[1]))]
 
 
 def _runs(which: str, runs: Sequence[Run]) -> Table:
     counts = ("step", "planned", "evaluations", "success", "true_return", "labels", "wall_s", "attempt")
+    rows = []
+    for run in runs:
+        facts = run.plan | run.facts()
+        scores = {name: run.curve[name].iloc[-1] if len(run.curve) else None for name in ("success", "true_return")}
+        started = (facts["started"] or "")[:16].replace("T", " ") or None  # to the minute, in UTC as it was recorded
+        rows.append(facts | scores | {"planned": facts["steps"], "started": started})
     shown = columns("run", *GROUP, "seed", "state", *counts, "started")
-    return Table(f"{which}, with their last evaluation", shown, [_row(run) for run in runs])
-
-
-def _row(run: Run) -> dict[str, Any]:
-    """What is known of a run, and when it began to the minute, in UTC as it was recorded."""
-    facts, names = run.plan | run.facts(), ["success", "true_return"]
-    scores: dict[Any, Any] = dict.fromkeys(names) if run.curve.empty else run.curve[names].iloc[-1].to_dict()
-    started = (facts["started"] or "")[:16].replace("T", " ") or None
-    return facts | scores | {"planned": facts["steps"], "started": started}
+    return Table(f"{which}, with their last evaluation", shown, rows)
 
 
 def _differing(runs: Sequence[Run]) -> Table:
@@ -119,10 +114,10 @@ def _of_texts(caption: str, table: pd.DataFrame) -> Table:
 def _commands(runs: Sequence[Run]) -> Part:
     """The commands that the runs were asked for with; those that ask for all of the plan where none is recorded."""
     asked = [shlex.join(run.provenance["argv"]) for run in runs if run.provenance and run.provenance.get("argv")]
-    told = "As they were typed; given again, each trains what is missing."
+    words = "As they were typed; given again, each trains what is missing."
     if not asked:
-        plan, told = runs[0].plan, "These train what is missing."
+        plan, words = runs[0].plan, "These train what is missing."
         wanted = [(run.plan["task"], run.plan["method"], run.plan["seed"]) for run in runs]
         asked = run_commands(plan["experiment"], plan["profile"], json.loads(plan["overrides"]), wanted)
     commands = "\n".join(dict.fromkeys(asked))
-    return Part(id="again", title="How to reproduce it", paragraphs=[told], commands=commands)
+    return Part(id="again", title="How to reproduce it", paragraphs=[words], commands=commands)

@@ -5,7 +5,8 @@ A module has
 - a docstring, which is the command's help,
 - `EXPERIMENT: str | None`, the experiment that is read where none is named; None reads all,
 - `EXPLAINED`, sentences that `rrmctl report explain` says; notes of a report are what is particular to it alone,
-- `make(sections, settings) -> list[Report]`, the tables of these sections, and
+- `COLUMNS`, what the table consists of, raw and in words,
+- `make(sections, settings) -> list[Report]`, the tables of these sections, or a `NoDataError` where there is none, and
 - where it has options of its own, `OPTIONS`, a literal with their names in `rrmctl.cli.report`.
 """
 

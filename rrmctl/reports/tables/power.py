@@ -10,19 +10,17 @@ rules are those of `rrmctl run NAME --until-decided` where that was begun.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
-from rrmctl.reports.captions import contents_notes, facts, statistics_notes, title
+from rrmctl.reports.columns import METHOD, PLACE, SCORE, estimated
 from rrmctl.reports.pairwise import Contest, Contests, decide, without_score
-from rrmctl.reports.report import INTERVAL, NOTHING, Grid, Report, interval, number, place_columns
+from rrmctl.reports.report import NOTHING, Column, Report, Row, section_report
 from rrmctl.reports.series import Section
 from rrmctl.reports.statistics import BOOTSTRAP_SEED, LEVEL, SURE, Statistics
 from rrmctl.stats import Iqm, difference, improvement, outlook
-
-if TYPE_CHECKING:
-    import pandas as pd
+from rrmctl.store.frame import MAYBE_WHOLE, NUMBER, TEXT, WHOLE
 
 EXPERIMENT = None
 EXPLAINED = (
@@ -38,9 +36,29 @@ EXPLAINED = (
 #: The test's decisions in words, about the method as against the other.
 DECISIONS = {"larger": "better", "smaller": "worse", "equal": "not separated", "open": "open"}
 
+
+def _fewest(row: Row) -> int:
+    return int(min(row["n"], row["n_against"]))
+
+
+def _more(row: Row) -> str:
+    """`5 (80 % by 20)`, where so many seeds more are likely enough and there may be 20 in all."""
+    if np.isnan(row["chance"]):
+        return NOTHING
+    likely = f"> {max(0, row['most'] - _fewest(row))}" if row["more"] is None else f"{row['more']}"
+    return f"{likely} ({100 * row['chance']:.0f} % by {row['most']})"
+
+
 COLUMNS = (
-    "task", "teacher", "feedback", "method", "against", "score", "n", "n_against", "difference", "low", "high",
-    "improvement", "improvement_low", "improvement_high", "decision", "seeds", "more", "chance",
+    *PLACE, METHOD, Column("against", TEXT, "Against"), SCORE,
+    Column("n", WHOLE, "n", lambda row: f"{row['n']}:{row['n_against']}"), Column("n_against", WHOLE),
+    *estimated("difference", "Difference", n=_fewest),
+    *estimated("improvement", "P(better)", "improvement_", f"its {SURE}", score=lambda _: "success", n=_fewest),
+    Column(
+        "decision", TEXT, "Decision",
+        lambda row: f"{row['decision']} ({row['seeds']})" if row["seeds"] else row["decision"],
+    ),
+    Column("seeds", WHOLE), Column("more", MAYBE_WHOLE, "More seeds", _more), Column("chance", NUMBER),
 )  # fmt: skip
 
 
@@ -50,16 +68,16 @@ def make(sections: Sequence[Section], settings: Statistics) -> list[Report]:
 
 
 def _report(section: Section, settings: Statistics) -> Report:
-    import pandas as pd
-
-    found = decide(section, section.trial)
-    rows = [_row(each, found, settings) for each in found.contests if each.ours.size]
-    table = pd.DataFrame(rows, columns=list(COLUMNS)).astype({"more": "Int64"})
-    refused = [why for series in section.series for why in without_score(series)]
-    known = facts(section, settings) | {"test": _rules(section, found)}
-    known["problems"] += refused
-    notes = (*contents_notes(section), *refused, *_notes(section, found, settings))
-    return Report(title(section), table, _grid(table, found), notes, known)
+    contests = decide(section, section.trial)
+    design, refused = contests.design, [why for series in section.series for why in without_score(series)]
+    rules = {
+        "group": design.group, "looks": design.looks, "alpha": design.alpha, "comparisons": len(contests.all),
+        "fixed_in_advance": section.trial is not None,
+    }  # fmt: skip
+    rows = [_row(contest, contests, settings) for contest in contests.all if contest.ours.size]
+    problems = [*section.problems, *refused]
+    notes = (*refused, *_notes(section, contests))
+    return section_report(section, settings, COLUMNS, rows, notes=notes, test=rules, problems=problems)
 
 
 def _row(contest: Contest, contests: Contests, settings: Statistics) -> dict[str, Any]:
@@ -70,58 +88,17 @@ def _row(contest: Contest, contests: Contests, settings: Statistics) -> dict[str
     ahead = outlook(contest.tested, verdict, contests.remaining, rng=rng[2]) if verdict.decision == "open" else None
     return {
         **contest.pair._asdict(), "score": contest.score, "n": contest.ours.size, "n_against": contest.theirs.size,
-        "difference": float(apart.estimate), "low": float(apart.low), "high": float(apart.high),
-        "improvement": float(wins.estimate), "improvement_low": float(wins.low), "improvement_high": float(wins.high),
+        **apart.row("difference"), **wins.row("improvement", "improvement_"),
         "decision": DECISIONS[verdict.decision], "seeds": verdict.looks * contests.design.group,
         "more": ahead.more if ahead else None, "chance": ahead.share if ahead else np.nan,
+        "most": contests.design.seeds,
     }  # fmt: skip
 
 
-def _grid(table: pd.DataFrame, contests: Contests) -> Grid:
-    """The table for people; columns that say nothing are left out."""
-    columns = place_columns(table)
-    columns |= {"Method": list(table["method"]), "Against": list(table["against"])}
-    words, rows = len(columns), table.to_dict("records")
-    columns["n"] = [f"{row['n']}:{row['n_against']}" for row in rows]
-    columns["Difference"] = [number(row["difference"], row["score"]) for row in rows]
-    columns[INTERVAL] = [
-        interval(row["low"], row["high"], row["score"], min(row["n"], row["n_against"])) for row in rows
-    ]
-    columns["P(better)"] = [number(row["improvement"], "success") for row in rows]
-    columns[f"its {SURE}"] = [
-        interval(row["improvement_low"], row["improvement_high"], "success", min(row["n"], row["n_against"]))
-        for row in rows
-    ]
-    columns["Decision"] = [_decision(row) for row in rows]
-    columns["More seeds"] = [_more(row, contests.design.seeds) for row in rows]
-    return Grid.of(columns, words=words)
-
-
-def _decision(row: dict[Any, Any]) -> str:
-    return f"{row['decision']} ({row['seeds']})" if row["seeds"] else row["decision"]
-
-
-def _more(row: dict[Any, Any], most: int) -> str:
-    """`5 (80 % by 20)`, where so many seeds more are likely enough and there may be 20 in all."""
-    if np.isnan(row["chance"]):
-        return NOTHING
-    fewest = min(row["n"], row["n_against"])
-    likely = f"{row['more']}" if isinstance(row["more"], int) else f"> {max(0, most - fewest)}"
-    return f"{likely} ({100 * row['chance']:.0f} % by {most})"
-
-
-def _rules(section: Section, contests: Contests) -> dict[str, Any]:
-    design = contests.design
-    return {
-        "group": design.group, "looks": design.looks, "alpha": design.alpha, "comparisons": len(contests.contests),
-        "fixed_in_advance": section.trial is not None,
-    }  # fmt: skip
-
-
-def _notes(section: Section, contests: Contests, settings: Statistics) -> Iterator[str]:
+def _notes(section: Section, contests: Contests) -> Iterator[str]:
     design = contests.design
     yield (
-        f"Decisions: after every {design.group} seeds, at most {design.looks} times, over {len(contests.contests)} "
+        f"Decisions: after every {design.group} seeds, at most {design.looks} times, over {len(contests.all)} "
         f"comparisons with one error rate of {100 * design.alpha:g} %."
     )
     if section.trial is None:
@@ -129,4 +106,3 @@ def _notes(section: Section, contests: Contests, settings: Statistics) -> Iterat
             "No rules were fixed before these runs: the error rate holds only if how many seeds there are did not "
             "follow from what they showed."
         )
-    yield from statistics_notes(section, settings)

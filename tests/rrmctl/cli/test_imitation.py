@@ -13,8 +13,7 @@ import pytest
 
 from rrmctl.store import load, planned
 from rrmctl.store.layout import Layout
-from rrmctl.store.reader import run_status
-from rrmctl.store.status import RunState
+from rrmctl.store.status import RunState, run_status
 from rrmctl.store.sweeps import read_sweeps
 from tests.rrmctl.cli.test_run import EXPERIMENTS, call, numbers, start
 

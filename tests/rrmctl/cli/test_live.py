@@ -9,17 +9,20 @@ from pathlib import Path
 import pytest
 
 from rrmctl.cli.live import Bars, Lines, score
-from rrmctl.running.scheduler import Ending, Outcome, Stage
-from rrmctl.running.supervisor import Assignment
+from rrmctl.running.scheduler import Outcome, Stage
 from rrmctl.store.layout import Layout
 from rrmctl.store.status import ErrorKind, RunError
+from rrmctl.store.sweeps import Job
 from rrmctl.terminal import console
 
-JOBS = [Assignment(id=run, label=f"t pebble seed {seed}", steps=1000) for seed, run in enumerate("ab")]
+JOBS = [
+    Job(id=run, cell="", task="t", method="pebble", teacher="-", feedback="-", seed=seed, steps=1000)
+    for seed, run in enumerate("ab")
+]
 
 
 def failure(kind: ErrorKind = ErrorKind.CRASHED) -> Outcome:
-    return Outcome(Ending.FAILED, RunError(kind=kind, type="RuntimeError", message="boom [not markup]"))
+    return Outcome(Stage.FAILED, RunError(kind=kind, type="RuntimeError", message="boom [not markup]"))
 
 
 def tell(view: Lines) -> None:
@@ -28,7 +31,7 @@ def tell(view: Lines) -> None:
     view.row("a", 100, 0.5, 12.0)
     view.row("a", 200, 0.6, 12.0)
     view.note("a", "prior [odd]")
-    view.ended("a", Outcome(Ending.DONE), Stage.DONE)
+    view.ended("a", Outcome(Stage.DONE), Stage.DONE)
     view.started("b", 2)
     view.ended("b", failure(), Stage.WAITING)
     view.ended("b", failure(), Stage.FAILED)
@@ -90,7 +93,7 @@ def test_bars(tmp_path: Path) -> None:
     assert (bar.completed, bar.total) == (500, 1000)
     assert bar.fields == {"rate": "10 steps/s", "score": "return 12.3", "left": "50 s"}
     assert shown["0 of 2 runs"].fields["left"] == "2 min"
-    view.ended("a", Outcome(Ending.DONE), Stage.DONE)
+    view.ended("a", Outcome(Stage.DONE), Stage.DONE)
     view.tick()
     assert [task.description for task in view.progress.tasks] == ["1 of 2 runs", "t pebble seed 1"]
     assert view.progress.tasks[0].completed == 1

@@ -15,7 +15,7 @@ from rrmctl import doctor
 from rrmctl.cli import plan
 from rrmctl.cli.request import Request, duration, smaller
 from rrmctl.errors import UserError
-from rrmctl.planning.cost import estimate_cost
+from rrmctl.planning.cost import estimate_seconds
 
 EXPERIMENTS = Path(__file__).parents[3] / "experiments"
 
@@ -105,7 +105,7 @@ def test_cheaper_profiles_are_told_with_all_seeds(seeds: str) -> None:
     """The cost of a cheaper profile is that of the whole request in it, though one seed is planned to find out."""
     request = Request("main-results", experiments=EXPERIMENTS, seeds=seeds)
     advice = smaller(request, request.plan())
-    whole = estimate_cost(replace(request, profile="laptop").plan(), {}).core_hours()
+    whole = sum(estimate_seconds(replace(request, profile="laptop").plan(), {}).values()) / 3600
     assert advice[0].startswith(f"--profile laptop: about {duration(whole)} of one core")
 
 

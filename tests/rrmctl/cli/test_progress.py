@@ -7,11 +7,11 @@ import pytest
 from rrmctl.cli.progress import Group, errors, group_by_row, group_by_sweep
 from rrmctl.store.speeds import speeds
 from rrmctl.store.status import ErrorKind, RunError, RunState, Status
-from rrmctl.store.sweeps import JobRecord, SweepRecord
+from rrmctl.store.sweeps import Job, SweepRecord
 
 
-def job(run: str, method: str = "pebble", seed: int = 0) -> JobRecord:
-    return JobRecord(
+def job(run: str, method: str = "pebble", seed: int = 0) -> Job:
+    return Job(
         id=run, cell=method, task="t", method=method, teacher="-", feedback="-", seed=seed, steps=1000
     )  # fmt: skip
 

@@ -16,17 +16,16 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner, Result
 
-from rrmctl.cli import introduction
+from rrmctl.cli import request as requests
 from rrmctl.cli.app import app
 from rrmctl.cli.request import Request, forecast
 from rrmctl.store import load, planned
-from rrmctl.store.files import try_lock
+from rrmctl.store.curve import CurveWriter
 from rrmctl.store.layout import Layout
-from rrmctl.store.reader import run_status
+from rrmctl.store.locks import try_lock
 from rrmctl.store.schema import TIMINGS
-from rrmctl.store.status import ErrorKind, RunError, RunState, Status, read_status, write_status
+from rrmctl.store.status import ErrorKind, RunError, RunState, Status, read_status, run_status, write_status
 from rrmctl.store.sweeps import read_sweeps
-from rrmctl.store.writer import CurveWriter
 from rrmctl.terminal import console
 from tests.rrmctl.running.standin import prepare, row
 
@@ -44,7 +43,7 @@ def settle(root: Path, state: RunState, seeds: str = "2", error: RunError | None
     """Pretend that toy-car's oracle has run for these seeds; the ids."""
     jobs = Request("toy-car", EXPERIMENTS, profile="smoke", seeds=seeds, methods=["oracle"]).plan().jobs
     for job in jobs:
-        steps = job.config.steps
+        steps = job.steps
         write_status(
             Layout(root).run(job.id), Status(state=state, attempt=1, step=steps, steps=steps, wall_s=6.0, error=error)
         )
@@ -107,9 +106,9 @@ def test_the_introduction_bears_profiles_that_cannot_hold_the_request(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """`run` advises on a large sweep without stumbling over other profiles, and notes a budget too large to spend."""
-    monkeypatch.setattr(introduction, "LARGE_H", 0.0)
+    monkeypatch.setattr(requests, "LARGE_H", 0.0)
     request = Request("toy-car", EXPERIMENTS, "smoke", overrides=["steps=450", "feedback.budget=1000000"])
-    introduction.introduce(console(sys.stderr), request, forecast(request.plan(), Layout(tmp_path)), slots=1)
+    requests.introduce(console(sys.stderr), request, forecast(request.plan(), Layout(tmp_path)), slots=1)
     said = capsys.readouterr().err
     assert "of 1,000,000 questions fit into 450 steps: toy-car pebble" in said
     assert "smaller: a part of it" in said

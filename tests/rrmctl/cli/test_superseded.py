@@ -11,14 +11,15 @@ from pathlib import Path
 import pytest
 from typer.testing import Result
 
-from rrmctl.cli.request import Request, job_record
+from rrmctl.cli.request import Request
 from rrmctl.running.config_file import config_content
 from rrmctl.store import load, planned
-from rrmctl.store.files import try_lock
+from rrmctl.store.curve import CurveWriter
 from rrmctl.store.layout import Layout
-from rrmctl.store.status import RunState, Status, record_config, write_status
+from rrmctl.store.locks import try_lock
+from rrmctl.store.provenance import record_config
+from rrmctl.store.status import RunState, Status, write_status
 from rrmctl.store.sweeps import SweepRecord, read_sweeps, record_sweep
-from rrmctl.store.writer import CurveWriter
 from tests.rrmctl.cli.test_run import call
 from tests.rrmctl.running.standin import row
 
@@ -60,8 +61,8 @@ class Workshop:
         overrides = [each for each in options if "=" in each]
         plan = Request(str(self.folder / "mine.toml"), profile="smoke", seeds=seeds, overrides=overrides).plan()
         for job in plan.everything:
-            folder, steps = self.layout.run(job.id), job.config.steps
-            content = config_content(job.config)
+            folder, steps = self.layout.run(job.id), job.steps
+            content = config_content(plan.configs[job.id])
             record_config(folder, content)
             if not folder.curve.exists() and state is RunState.DONE:
                 CurveWriter(folder, content | {"run": job.id}).add(
@@ -231,7 +232,7 @@ def test_a_removal_that_was_cut_short_is_completed(workshop: Workshop) -> None:
 def test_a_record_tells_apart_what_it_reads(workshop: Workshop) -> None:
     """The file of two states says which run came later, also one that was written before anybody looked at that."""
     plan = Request(str(workshop.folder / "mine.toml"), profile="smoke", seeds="2").plan()
-    jobs = tuple(map(job_record, plan.jobs))
+    jobs = plan.jobs
     later = tuple(dataclasses.replace(job, id=job.id[::-1], cell="new") for job in jobs)
     layout = workshop.layout
     for asked in (jobs, later):

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from rrmctl.cli.request import Request
-from rrmctl.store import validation
+from rrmctl.store import records
 from rrmctl.store.layout import Layout
 from rrmctl.store.status import RunState, Status, write_status
 from tests.rrmctl.cli.test_run import EXPERIMENTS, PLAN, call, settle
@@ -40,7 +40,7 @@ def test_a_results_folder_of_another_version(
     """One message with both versions, and nothing is touched."""
     prepare(tmp_path / "results", range(1))
     before = held(tmp_path)
-    monkeypatch.setattr(validation, "SCHEMA_VERSION", 2)
+    monkeypatch.setattr(records, "SCHEMA_VERSION", 2)
     monkeypatch.chdir(tmp_path)
     result = call(*command, "--results", tmp_path / "results")
     assert result.exit_code == 2, result.output

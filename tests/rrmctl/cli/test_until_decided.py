@@ -14,12 +14,13 @@ from typer.testing import Result
 from rrmctl.cli.request import Request
 from rrmctl.running.config_file import config_content
 from rrmctl.store import planned
-from rrmctl.store.files import write_json
+from rrmctl.store.curve import CurveWriter
 from rrmctl.store.layout import Layout
+from rrmctl.store.provenance import record_config
+from rrmctl.store.records import write_json
 from rrmctl.store.schema import SCHEMA_VERSION
-from rrmctl.store.status import RunState, Status, record_config, write_status
+from rrmctl.store.status import RunState, Status, write_status
 from rrmctl.store.trials import Pairing, Trial, begin_trial, read_trial
-from rrmctl.store.writer import CurveWriter
 from tests.rrmctl.cli.test_run import ERROR, EXPERIMENTS, PLAN, call, start
 from tests.rrmctl.reports.frames import Sweep
 from tests.rrmctl.running.standin import row
@@ -43,9 +44,10 @@ teachers = ["oracle", "mistaken-10"]
 def train(root: Path, manifest: str = "toy-car", seeds: int = 10, failed: tuple[str, int] | None = None) -> None:
     """Pretend that all runs are done, with curves about their methods' levels."""
     request = Request(manifest, EXPERIMENTS, profile="smoke", seeds=str(seeds))
-    for job in request.plan().jobs:
-        folder, steps = Layout(root).run(job.id), job.config.steps
-        content = config_content(job.config)
+    plan = request.plan()
+    for job in plan.jobs:
+        folder, steps = Layout(root).run(job.id), job.steps
+        content = config_content(plan.configs[job.id])
         record_config(folder, content)
         noise = np.random.default_rng([job.seed, *job.method.encode()]).uniform(-0.1, 0.1)
         curve = CurveWriter(folder, content | {"run": job.id})

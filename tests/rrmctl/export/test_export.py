@@ -15,15 +15,15 @@ import pytest
 from typer.testing import CliRunner
 
 from rrmctl.cli.app import app
-from rrmctl.export.bundle import COLUMNS, MEASURED_COLUMNS, read
+from rrmctl.export.bundle import COLUMNS, RUN_COLUMNS, read
 from rrmctl.export.formats import formats
 from rrmctl.export.formats.csv import OTHER_RUN_COLUMNS
 from rrmctl.export.formats.tensorboard import run_folder, tag
 from rrmctl.store import load
-from rrmctl.store.files import write_json
-from rrmctl.store.inventory import inventory, table
 from rrmctl.store.layout import Layout
+from rrmctl.store.records import write_json
 from rrmctl.store.schema import MEASURED
+from rrmctl.store.snapshot import Snapshot, table
 from tests.rrmctl.reports.frames import FIGURES, Sweep
 
 TASK = "button-press"
@@ -92,8 +92,8 @@ def test_the_data_dictionary_is_complete(results, tmp_path):
         header = (tmp_path / resource["path"]).read_text().splitlines()[0].split(",")
         assert header == [column["name"] for column in resource["schema"]["fields"]]
         assert all(column["description"] for column in resource["schema"]["fields"])
-    assert list(MEASURED_COLUMNS) == list(MEASURED)
-    assert set(table(inventory(results))) <= {*COLUMNS, *OTHER_RUN_COLUMNS}
+    assert list(COLUMNS)[len(RUN_COLUMNS) :] == list(MEASURED)
+    assert set(table(Snapshot(results).runs())) <= {*COLUMNS, *OTHER_RUN_COLUMNS}
 
 
 def test_tensorboard_reads_its_files(results, tmp_path):

@@ -1,23 +1,25 @@
-"""Costs: the model against hand-worked numbers, and stored speeds before the model."""
+"""Costs: the table against hand-worked numbers, and stored speeds before the table."""
 
 from __future__ import annotations
 
+import tomllib
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from rrm.config import KINDS
+from rrm.envs import TASKS
+from rrm.rewards import LEARNERS
 from rrm.training.run_config import RunConfig
-from rrmctl.cli.request import job_record
-from rrmctl.planning import manifest
-from rrmctl.planning.cost import estimate_cost, measure_gemm, model_seconds
+from rrmctl.cli.request import Forecast, forecast, in_words
+from rrmctl.planning import cost, manifest
+from rrmctl.planning.cost import core_speed, estimate_seconds, tabled_seconds
 from rrmctl.planning.plan import Plan, make_plan
 from rrmctl.store.layout import Layout
 from rrmctl.store.speeds import stored_speeds
 from rrmctl.store.status import RunState, Status, write_status
 from rrmctl.store.sweeps import SweepRecord, record_sweep
-
-GIGA = 1e9
 
 
 def toy(**options: Any) -> Plan:
@@ -35,57 +37,71 @@ def oracle(**changes: Any) -> RunConfig:
 
 
 def test_known_reward_by_hand() -> None:
-    """Twenty-five thousand steps of the paper's SAC: simulation, updates and evaluation, added up on paper."""
-    weights_actor = 39 * 256 + 2 * 256 * 256 + 256 * 8
-    weights_critic = 43 * 256 + 2 * 256 * 256 + 256 * 1
-    update = 0.0005 + 1.2 * 2 * 512 * (4 * weights_actor + 12 * weights_critic) / (100 * GIGA)
-    steps = (25_000 + 3 * 10 * 500) * (1 / 1800 + 0.0003)  # evaluated at 10k, 20k and the end
-    assert model_seconds(oracle(), 100 * GIGA) == pytest.approx(3 + 24_000 * update + steps)
+    """Twenty-five thousand steps of the paper's SAC: start, simulation, updates and evaluation, added up on paper."""
+    steps = 25_000 + 3 * 10 * 500  # evaluated at 10k, 20k and the end
+    assert tabled_seconds(oracle(), 1.0) == pytest.approx(3 + steps * 0.00086 + 24_000 * (0.0005 + 0.028))
 
 
 def test_a_faster_core_costs_less() -> None:
     """Time falls with the core's speed, but never below what does not multiply matrices."""
-    slow, fast, limit = (model_seconds(oracle(), rate) for rate in (10 * GIGA, 100 * GIGA, 1e30))
+    slow, fast, limit = (tabled_seconds(oracle(), speed) for speed in (0.1, 1.0, 1e20))
     assert slow > fast > limit > 25_000 / 1800
 
 
 def test_what_costs_more() -> None:
-    """Larger batches, networks and more evaluations cost more; so does a reward that must be learned."""
-    base = model_seconds(oracle(), 100 * GIGA)
+    """More steps, larger batches, networks and more evaluations cost more; so does a reward that must be learned."""
+    base = tabled_seconds(oracle(), 1.0)
+    pebble = tabled_seconds(oracle(reward={"learner": "pebble"}), 1.0)
+    surf = tabled_seconds(oracle(reward={"learner": "surf"}), 1.0)
+    assert surf > pebble > base
     for dearer in (
         {"agent": {"batch": 1024}}, {"agent": {"hidden": 512}}, {"evaluation": {"every": 1000}}, {"steps": 40_000},
-        {"reward": {"learner": "pebble"}},
-        {"reward": {"learner": "pebble"}, "exploration": {"unsupervised_steps": 9000}},
-        {"reward": {"learner": "surf"}},
     ):  # fmt: skip
-        assert model_seconds(oracle(**dearer), 100 * GIGA) > base
+        assert tabled_seconds(oracle(**dearer), 1.0) > base
 
 
-def test_seeds_cost_the_same() -> None:
-    """The estimate covers every job, adds up, and says that it is a model."""
+@pytest.mark.parametrize(
+    ("task", "learner", "sizes", "hours"),
+    [
+        ("button-press", "pebble", {"hidden": 256, "layers": 3, "batch": 512}, 4.7),
+        ("button-press", "surf", {"hidden": 256, "layers": 3, "batch": 512}, 11.7),
+        ("walker-walk", "true", {"hidden": 128, "layers": 3, "batch": 128}, 0.30),
+        ("toy-car", "pebble", {"hidden": 64, "layers": 2, "batch": 64}, 0.17),
+    ],
+)
+def test_order_of_magnitude(task: str, learner: str, sizes: dict[str, Any], hours: float) -> None:
+    """Networks of other sizes are estimated within a factor of two of what a count of their operations gives."""
+    reward = {"learner": learner, "hidden": sizes["hidden"], "layers": sizes["layers"]}
+    config = RunConfig.model_validate({"task": task, "seed": 0, "steps": 400_000, "agent": sizes, "reward": reward})
+    assert hours / 2 < tabled_seconds(config, 1.0) / 3600 < hours * 2
+
+
+def test_seeds_cost_the_same(tmp_path: Path) -> None:
+    """The estimate covers every job, adds up, and says that it is an estimate."""
     plan = toy(seeds="3")
-    cost = estimate_cost(plan, {}, 100 * GIGA)
-    assert set(cost.seconds) == {job.id for job in plan.jobs}
-    assert len(set(cost.seconds.values())) == 2
-    assert cost.core_hours() == pytest.approx(sum(cost.seconds.values()) / 3600)
-    assert "operations" in cost.source
+    expected = forecast(plan, Layout(tmp_path))
+    assert set(expected.seconds) == {job.id for job in plan.jobs}
+    assert len(set(expected.seconds.values())) == 2
+    assert expected.hours_left == pytest.approx(sum(expected.seconds.values()) / 3600)
+    assert "(an estimate" in in_words(expected, 1)
 
 
 def test_only_what_is_left_is_counted() -> None:
     """A finished job costs nothing more, one half done half as much."""
     plan = toy(seeds="1")
-    cost = estimate_cost(plan, {(job.task, job.method, "paper"): 100.0 for job in plan.jobs})
-    assert cost.core_hours() == pytest.approx(2 * (3 + 15_000 / 100) / 3600)
-    assert cost.core_hours({plan.jobs[0].id: 0.0, plan.jobs[1].id: 0.5}) == pytest.approx(
-        0.5 * (3 + 15_000 / 100) / 3600
-    )
+    seconds = estimate_seconds(plan, {(job.task, job.method, "paper"): 100.0 for job in plan.jobs})
+    assert list(seconds.values()) == [3 + 15_000 / 100] * 2
+    states = (Status(state=RunState.DONE), Status(state=RunState.INTERRUPTED, step=7500, steps=15_000))
+    expected = Forecast(plan, dict(zip(seconds, states, strict=True)), seconds, measured=2)
+    assert expected.hours_left == pytest.approx(0.5 * (3 + 15_000 / 100) / 3600)
+    assert in_words(expected, 1).endswith("(from the speed of stored runs).")
 
 
 def store(root: Path, plan: Plan, *states: Status) -> Layout:
     """A results root in which the plan's first runs are in these states."""
     layout = Layout(root)
-    jobs = tuple(job_record(job) for job in plan.jobs)
-    record_sweep(layout, SweepRecord(experiment=plan.experiment, variant=plan.variant, profile=plan.profile, jobs=jobs))
+    names = {"experiment": plan.experiment, "variant": plan.variant, "profile": plan.profile}
+    record_sweep(layout, SweepRecord(**names, jobs=plan.jobs))
     for job, status in zip(plan.jobs, states, strict=False):
         folder = layout.run(job.id)
         folder.path.mkdir(parents=True)
@@ -94,18 +110,16 @@ def store(root: Path, plan: Plan, *states: Status) -> Layout:
 
 
 def test_stored_speeds_come_first(tmp_path: Path) -> None:
-    """Runs in the store give the speed of their task, method and variant; the model serves for the rest."""
+    """Runs in the store give the speed of their task, method and variant; the table serves for the rest."""
     plan = toy()
     done = Status(state=RunState.DONE, step=15_000, steps=15_000, wall_s=30.0, steps_per_s=1.0)
     layout = store(tmp_path, plan, done)
     rates = stored_speeds(layout)
     assert rates == {("toy-car", "oracle", "paper"): 500.0}
-    cost = estimate_cost(plan, rates, 100 * GIGA)
-    assert {job.method for job in plan.jobs if job.id in cost.measured} == {"oracle"}
-    assert cost.seconds[plan.jobs[0].id] == 33.0
-    assert "2 of 4 jobs" in cost.source
-    smaller = toy(overrides={"agent.batch": 8})
-    assert not estimate_cost(smaller, rates, 100 * GIGA).measured
+    expected = forecast(plan, layout)
+    assert [expected.seconds[job.id] for job in plan.jobs if job.method == "oracle"] == [33.0] * 2
+    assert "2 of 4 jobs from the speed of stored runs, the rest an estimate" in in_words(expected, 1)
+    assert forecast(toy(overrides={"agent.batch": 8}), layout).measured == 0
 
 
 def test_speed_of_unfinished_runs(tmp_path: Path) -> None:
@@ -128,11 +142,18 @@ def test_empty_store(tmp_path: Path) -> None:
     assert stored_speeds(Layout(tmp_path / "absent")) == {}
 
 
+def test_the_table_speaks_of_what_exists() -> None:
+    """Every suite, task and learner that it has a number for is one."""
+    table = tomllib.loads(Path(cost.__file__).with_name("costs.toml").read_text())
+    assert set(table["step"]) - {"unknown"} <= {*TASKS, *(task.suite for task in TASKS.values())}
+    assert set(table["learner"]) - {"default"} <= {*LEARNERS, *KINDS}
+
+
 def test_this_core_multiplies() -> None:
-    """The measurement gives a rate that a processor can have."""
-    assert 1e8 < measure_gemm() < 1e14
+    """The measurement gives a speed that a processor can have."""
+    assert 1e-3 < core_speed() < 1e3
 
 
 def test_one_command_goes_by_one_speed() -> None:
     """The speed of the core is measured once, and every estimate takes the same."""
-    assert measure_gemm() is measure_gemm()
+    assert core_speed() is core_speed()

@@ -126,3 +126,13 @@ def test_unreadable_files(tmp_path: Path) -> None:
             manifest.load(tmp_path / name)
     with pytest.raises(UserError, match="name is made of"):
         manifest.load(write(tmp_path, GOOD, "two words.toml"))
+
+
+def test_each_of_several_grids_is_told_apart(tmp_path: Path) -> None:
+    """A mistake in the second grid says so; a grid is a table."""
+    several = GOOD.replace("[grid]", "[[grid]]")
+    added = several + '[[grid]]\ntasks = ["toy-car"]\nmethods = ["oracle"]\n'
+    assert '[[grid]] 2: unknown key "sets"; did you mean "set"?' in refused(tmp_path, added + "sets = {}")
+    said = refused(tmp_path, added + 'include = [{method = "pebble", setting = {}}]')
+    assert '[[grid]] 2 include: unknown key "setting"' in said
+    assert "[grid]: expected a table; got 3" in refused(tmp_path, f"grid = 3\n{GOOD.partition('[grid]')[0]}")

@@ -9,8 +9,10 @@ import pytest
 
 from rrmctl.errors import UserError
 from rrmctl.planning import manifest
-from rrmctl.planning.plan import Job, Plan, make_plan, parse_seeds, variant
+from rrmctl.planning.plan import Plan, make_plan, parse_seeds, variant
+from rrmctl.planning.prerequisites import Config
 from rrmctl.planning.profiles import profiles
+from rrmctl.store.sweeps import Job
 
 EXPERIMENTS = Path(__file__).parents[3] / "experiments"
 
@@ -29,6 +31,11 @@ def rows(plan: Plan) -> list[tuple[str, str, str, str, int]]:
 
 def only(plan: Plan, method: str) -> Job:
     return next(job for job in plan.jobs if job.method == method)
+
+
+def config(plan: Plan, job: Job | None = None) -> Config:
+    """Of a job; of the first if none is named."""
+    return plan.configs[(job or plan.jobs[0]).id]
 
 
 def refused(experiment: manifest.Manifest, **options: Any) -> UserError:
@@ -56,8 +63,10 @@ def test_more_seeds_keep_the_first() -> None:
 
 def test_ids_are_identities() -> None:
     """A job's id is its configuration's identity, whatever the experiment is called."""
-    job = make_plan(made()).jobs[1]
-    assert job.id == job.config.identity
+    plan = make_plan(made())
+    job = plan.jobs[1]
+    assert job.id == config(plan, job).identity
+    assert (job.cell, job.steps, job.requires) == (config(plan, job).cell, config(plan, job).steps, ())
     other = manifest.parse(
         {"title": "U", "reproduces": ["G"], "rule": "S", "grid": {"tasks": ["toy-car"], "methods": ["pebble"]}},
         Path("other.toml"),
@@ -80,10 +89,10 @@ def test_ids_are_identities() -> None:
 def test_paper_budgets(task: str, steps: int, feedback: str, epochs: int) -> None:
     """Steps, feedback and reward epochs of each task are the paper's."""
     plan = make_plan(made({"tasks": [task], "methods": ["oracle", "pebble", "rrm-proxy", "sac-proxy"]}), seeds="1")
-    pebble = only(plan, "pebble").config
+    pebble = config(plan, only(plan, "pebble"))
     assert (pebble.steps, only(plan, "pebble").feedback, pebble.reward.epochs) == (steps, feedback, epochs)
-    explored = [(j.method, j.config.exploration.seed_steps, j.config.exploration.unsupervised_steps) for j in plan.jobs]
-    assert explored == [
+    phases = [(job.method, config(plan, job).exploration) for job in plan.jobs]
+    assert [(method, phase.seed_steps, phase.unsupervised_steps) for method, phase in phases] == [
         ("oracle", 5000, 0),
         ("pebble", 1000, 9000),
         ("rrm-proxy", 2000 if task.endswith("walk") else 1000, 0),  # feedback waits for two episodes
@@ -107,8 +116,8 @@ def test_paper_budgets(task: str, steps: int, feedback: str, epochs: int) -> Non
 )
 def test_method_names(name: str, learner: str, prior: str | None) -> None:
     """A method's name says its learner and its prior."""
-    job = make_plan(made({"tasks": ["button-press"], "methods": [name]})).jobs[0]
-    assert (job.config.reward.learner, job.config.reward.prior) == (learner, prior)
+    reward = config(make_plan(made({"tasks": ["button-press"], "methods": [name]}))).reward
+    assert (reward.learner, reward.prior) == (learner, prior)
 
 
 def test_surfs_and_mrns_feedback() -> None:
@@ -117,8 +126,8 @@ def test_surfs_and_mrns_feedback() -> None:
     for name in ("surf", "mrn"):
         plan = make_plan(manifest.load(EXPERIMENTS / f"{name}.toml"), seeds="1")
         for job in plan.jobs:
-            found[job.task, job.method] = job.feedback, job.config.exploration.unsupervised_steps
-            assert job.config.reward.epochs == (20 if "surf" in job.method else 10)
+            found[job.task, job.method] = job.feedback, config(plan, job).exploration.unsupervised_steps
+            assert config(plan, job).reward.epochs == (20 if "surf" in job.method else 10)
     for task, name, feedback in (
         ("button-press", "surf", "50@5000/2000"),
         ("sweep-into", "surf", "50@5000/5000"),
@@ -133,20 +142,21 @@ def test_surfs_and_mrns_feedback() -> None:
 @pytest.mark.parametrize("scale", list(profiles()))
 def test_mrn_refines_at_every_scale(scale: str) -> None:
     """Between the first session and the one that spends the budget there are steps on the outer loss."""
-    for job in make_plan(manifest.load(EXPERIMENTS / "mrn.toml"), profile=scale, seeds="1").jobs:
-        config = job.config
-        if config.feedback is not None:
-            last = config.first_session + (config.sessions() - 1) * config.feedback.every
-            assert last > (config.first_session // config.reward.mrn.every + 1) * config.reward.mrn.every
+    plan = make_plan(manifest.load(EXPERIMENTS / "mrn.toml"), profile=scale, seeds="1")
+    for run in (config(plan, job) for job in plan.jobs):
+        if run.feedback is not None:
+            last = run.first_session + (run.sessions() - 1) * run.feedback.every
+            assert last > (run.first_session // run.reward.mrn.every + 1) * run.reward.mrn.every
 
 
 def test_settings_of_a_learner() -> None:
     """They are set like any other, a profile shrinks MRN's interval, and what does not fit names its layer."""
     grid = {"tasks": ["button-press"], "methods": ["surf", "mrn"]}
     experiment = made(grid, defaults={"reward": {"mrn": {"every": 20_000}, "surf": {"threshold": 0.9}}})
-    surf, mrn = (only(make_plan(experiment, seeds="1"), name).config.reward for name in ("surf", "mrn"))
+    plan, laptop = make_plan(experiment, seeds="1"), make_plan(experiment, profile="laptop", seeds="1")
+    surf, mrn = (config(plan, only(plan, name)).reward for name in ("surf", "mrn"))
     assert (surf.surf.threshold, mrn.mrn.every) == (0.9, 20_000)
-    assert only(make_plan(experiment, profile="laptop", seeds="1"), "mrn").config.reward.mrn.every == 10_000
+    assert config(laptop, only(laptop, "mrn")).reward.mrn.every == 10_000
     error = refused(experiment, overrides=["reward.surf.crop=30"])
     assert "reward.surf.crop: 30 steps more or less; 10 at the most" in str(error)
     assert "is set in --set" in str(error.hint)
@@ -166,10 +176,10 @@ def test_sections_win_in_order() -> None:
         method={"pebble": {"agent": {"layers": 4}, "reward": {"hidden": 4}}},
         profile={"smoke": {"reward": {"hidden": 5}, "agent": {"tau": 0.2}}},
     )
-    smoke = make_plan(experiment, profile="smoke", overrides=["agent.tau=0.3"]).jobs[0].config
+    smoke = config(make_plan(experiment, profile="smoke", overrides=["agent.tau=0.3"]))
     assert (smoke.agent.batch, smoke.agent.hidden, smoke.agent.layers) == (2, 3, 4)
     assert (smoke.reward.hidden, smoke.agent.tau) == (5, 0.3)
-    assert make_plan(experiment).jobs[0].config.reward.hidden == 4
+    assert config(make_plan(experiment)).reward.hidden == 4
 
 
 def test_amounts_shrink_with_the_profile() -> None:
@@ -181,16 +191,16 @@ def test_amounts_shrink_with_the_profile() -> None:
     )
     paper = [job.feedback for job in make_plan(experiment, seeds="1").jobs]
     assert paper == ["50@5000/5000", "25@20000/5000"]
-    smoke = make_plan(experiment, profile="smoke", seeds="1").jobs
-    assert [job.feedback for job in smoke] == ["8@100/24", "4@400/24"]
-    assert smoke[0].config.agent.hidden == 300
+    smoke = make_plan(experiment, profile="smoke", seeds="1")
+    assert [job.feedback for job in smoke.jobs] == ["8@100/24", "4@400/24"]
+    assert config(smoke).agent.hidden == 300
 
 
 def test_profile_sections_and_set_are_literal() -> None:
     """What is said for one profile, or on the command line, is not scaled."""
     experiment = made(profile={"smoke": {"steps": 700}})
-    assert make_plan(experiment, profile="smoke").jobs[0].config.steps == 700
-    assert make_plan(experiment, profile="smoke", overrides={"steps": 900}).jobs[0].config.steps == 900
+    assert config(make_plan(experiment, profile="smoke")).steps == 700
+    assert config(make_plan(experiment, profile="smoke", overrides={"steps": 900})).steps == 900
 
 
 def test_paired_axes() -> None:
@@ -208,8 +218,8 @@ def test_paired_axes() -> None:
         ("walker-walk", "pebble", "mistaken-10"),
         ("walker-walk", "rrm-zero", "mistaken-10"),
     ]
-    assert plan.jobs[2].config.teacher is not None
-    assert plan.jobs[2].config.teacher.mistake == 0.1
+    assert config(plan, plan.jobs[2]).teacher is not None
+    assert config(plan, plan.jobs[2]).teacher.mistake == 0.1
     error = refused(made({**grid, "tasks": ["toy-car"]}))
     assert "there are 1 tasks, 2 teachers" in str(error)
 
@@ -230,7 +240,7 @@ def test_include_and_exclude() -> None:
         ("toy-car", "rrm-zero"),
         ("button-press", "rrm-zero"),
     ]
-    assert [j.config.agent.batch for j in plan.jobs] == [64, 512, 512, 9, 9]
+    assert [config(plan, job).agent.batch for job in plan.jobs] == [64, 512, 512, 9, 9]
     assert 'exclude {method = "peble"}: no row' in str(refused(made({**GRID, "exclude": [{"method": "peble"}]})))
     everything = [{"method": "oracle"}, {"method": "pebble"}]
     assert "leaves no row" in str(refused(made({**GRID, "exclude": everything})))
@@ -256,8 +266,8 @@ def test_own_teachers_and_schedules() -> None:
     )
     plan = make_plan(experiment, seeds="1")
     assert [job.feedback for job in plan.jobs] == ["20@500/400", "20@500/400 random"]
-    assert plan.jobs[0].config.teacher is not None
-    assert (plan.jobs[0].config.teacher.mistake, plan.jobs[0].config.teacher.beta) == (0.25, 2.0)
+    assert config(plan).teacher is not None
+    assert (config(plan).teacher.mistake, config(plan).teacher.beta) == (0.25, 2.0)
 
 
 def test_two_meanings_of_one_name_are_refused() -> None:
@@ -277,8 +287,8 @@ def test_users_files(tmp_path: Path) -> None:
         (tmp_path / folder).mkdir()
         (tmp_path / folder / "p.py").write_text(text)
         plan = make_plan(manifest.parse(table, tmp_path / folder / "m.toml"))
-        assert plan.jobs[0].config.reward.prior == f"{tmp_path / folder / 'p.py'}:f"
-        assert plan.jobs[0].config.reward.prior_digest is not None
+        assert config(plan).reward.prior == f"{tmp_path / folder / 'p.py'}:f"
+        assert config(plan).reward.prior_digest is not None
         ids.append(plan.jobs[0].id)
     assert ids[0] == ids[1] != ids[2]
     error = refused(manifest.parse(table, tmp_path / "m.toml"))
@@ -468,28 +478,31 @@ def test_every_experiment_plans(path: Path, scale: str) -> None:
     plan = make_plan(manifest.load(path), profile=scale)
     assert plan.jobs
     for job in plan.jobs:
-        assert (job.config.sessions() > 0) == job.config.reward.kind.learned
+        assert (config(plan, job).sessions() > 0) == config(plan, job).reward.kind.learned
 
 
 def test_smoke_passes_through_everything() -> None:
     """At smoke scale there are several sessions, an unsupervised phase for PEBBLE, and evaluations before the end."""
-    for job in make_plan(manifest.load(EXPERIMENTS / "main-results.toml"), profile="smoke", seeds="1").jobs:
-        config = job.config
-        assert config.steps <= 1000
-        assert config.steps // config.evaluation.every >= 2
-        assert config.sessions() >= 3 or job.method == "oracle"
-        assert (config.exploration.unsupervised_steps > 0) == (job.method == "pebble")
+    plan = make_plan(manifest.load(EXPERIMENTS / "main-results.toml"), profile="smoke", seeds="1")
+    for job in plan.jobs:
+        run = config(plan, job)
+        assert run.steps <= 1000
+        assert run.steps // run.evaluation.every >= 2
+        assert run.sessions() >= 3 or job.method == "oracle"
+        assert (run.exploration.unsupervised_steps > 0) == (job.method == "pebble")
 
 
 def test_less_feedback() -> None:
     """Fig. less: fewer questions a session, or rarer ones, over 500,000 steps of each Meta-World task of Fig. main."""
-    jobs = make_plan(manifest.load(EXPERIMENTS / "less-feedback.toml"), seeds="1").jobs
+    plan = make_plan(manifest.load(EXPERIMENTS / "less-feedback.toml"), seeds="1")
+    jobs = plan.jobs
     budgets = {"50@5000/5000", "25@5000/2500", "10@5000/1000", "5@5000/500", "50@10000/2500", "50@20000/1250"}
-    assert {job.config.steps for job in jobs} == {500_000}
+    assert {job.steps for job in jobs} == {500_000}
     for task in ("button-press", "door-open", "door-unlock", "sweep-into"):
         for method in ("pebble", "rrm-proxy", "rrm-language"):
             assert {job.feedback for job in jobs if (job.task, job.method) == (task, method)} == budgets
-    assert all(job.config.queries() == job.config.feedback.budget for job in jobs if job.method != "pebble")  # type: ignore[union-attr]
+    runs = [config(plan, job) for job in jobs if job.method != "pebble"]
+    assert all(run.queries() == run.feedback.budget for run in runs)
     main = {job.id for job in make_plan(manifest.load(EXPERIMENTS / "main-results.toml"), seeds="1").jobs}
     assert {job.task for job in jobs if job.id in main} == {"button-press", "door-open", "door-unlock"}
 
@@ -498,7 +511,7 @@ def test_opposite_prior() -> None:
     """Fig. oppo: door-unlock for a million steps; button-press is that of the ablation."""
     jobs = make_plan(manifest.load(EXPERIMENTS / "opposite-prior.toml"), seeds="1").jobs
     lengths = {"button-press": 500_000, "door-unlock": 1_000_000}
-    assert {(job.task, job.method): job.config.steps for job in jobs} == {
+    assert {(job.task, job.method): job.steps for job in jobs} == {
         (task, method): steps for task, steps in lengths.items() for method in ("pebble", "rrm-opposite")
     }
     ablation = {job.id for job in make_plan(manifest.load(EXPERIMENTS / "ablation-prior.toml"), seeds="1").jobs}
@@ -512,8 +525,8 @@ def test_a_prior_a_task(tmp_path: Path) -> None:
         "title": "T", "reproduces": ["F"], "rule": "R", "seeds": 1, "method": {"mine": {"prior": "{task}.py:near"}},
         "grid": {"tasks": ["toy-car"], "methods": ["mine"]},
     }  # fmt: skip
-    job = make_plan(manifest.parse(table, tmp_path / "mine.toml")).jobs[0]
-    assert job.config.reward.prior == f"{tmp_path / 'toy-car.py'}:near"
+    plan = make_plan(manifest.parse(table, tmp_path / "mine.toml"))
+    assert config(plan).reward.prior == f"{tmp_path / 'toy-car.py'}:near"
     table["grid"] = {"tasks": ["toy-car", "door-open"], "methods": ["mine"]}
     assert "door-open, mine: " in str(refused(manifest.parse(table, tmp_path / "mine.toml")))
 

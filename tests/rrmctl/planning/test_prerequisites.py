@@ -35,22 +35,22 @@ def test_the_chain(scale: str) -> None:
     plan = make_plan(MAIN, profile=scale, tasks=["button-press"], seeds=3)
     demos, airl = plan.needed
     (oracle,) = (job for job in plan.jobs if (job.method, job.seed) == ("oracle", 0))
-    assert isinstance(demos.config, DemosConfig)
-    assert isinstance(airl.config, RunConfig)
+    assert isinstance(plan.configs[demos.id], DemosConfig)
+    assert isinstance(plan.configs[airl.id], RunConfig)
     assert (demos.method, airl.method, airl.seed) == ("demos", "airl", 0)
-    assert demos.config.requires == (oracle.id,)
-    assert airl.config.requires == (demos.id,)
-    assert [job.config.requires for job in plan.jobs if job.method == "rrm-imitation"] == [(airl.id,)] * 3
-    assert all(not job.config.requires for job in plan.jobs if job.method != "rrm-imitation")
+    assert demos.requires == (oracle.id,)
+    assert airl.requires == (demos.id,)
+    assert [job.requires for job in plan.jobs if job.method == "rrm-imitation"] == [(airl.id,)] * 3
+    assert all(not job.requires for job in plan.jobs if job.method != "rrm-imitation")
 
 
 def test_the_papers_numbers() -> None:
     """Appendix: a million steps after 5000 random ones, 100 steps of 128 + 128 every 1000, 50 demonstrations."""
-    demos, airl = make_plan(MAIN, tasks=["button-press"]).needed
-    config = airl.config
+    plan = make_plan(MAIN, tasks=["button-press"])
+    demos, config = (plan.configs[job.id] for job in plan.needed)
     assert isinstance(config, RunConfig)
-    assert isinstance(demos.config, DemosConfig)
-    assert (config.steps, config.random_steps, demos.config.episodes) == (1_000_000, 5000, 50)
+    assert isinstance(demos, DemosConfig)
+    assert (config.steps, config.random_steps, demos.episodes) == (1_000_000, 5000, 50)
     imitation = config.imitation
     assert (imitation.every, imitation.updates, imitation.minibatch, imitation.window) == (1000, 100, 128, 50_000)
     assert (imitation.hidden, imitation.layers, imitation.lr) == (256, 3, 1e-4)
@@ -61,7 +61,7 @@ def test_profiles_scale_the_chain() -> None:
     lengths = {}
     for scale in ("paper", "laptop", "quickstart", "smoke"):
         plan = make_plan(MAIN, profile=scale, tasks=["button-press"])
-        lengths[scale] = {job.method: job.config.steps for job in plan.needed}["airl"]
+        lengths[scale] = {job.method: job.steps for job in plan.needed}["airl"]
     assert lengths == {"paper": 1_000_000, "laptop": 60_000, "quickstart": 20_000, "smoke": 300}
 
 
@@ -72,7 +72,7 @@ def test_experiments_share_their_priors() -> None:
     assert len({chain(plan)["airl"] for plan in plans}) == 1
     oracles = [next(job.id for job in plan.jobs if job.method == "oracle") for plan in plans[:2]]
     assert {*oracles, chain(plans[2])["expert"]} == {oracles[0]}
-    assert {job.config.steps for job in plans[1].jobs} == {300_000, 500_000}
+    assert {job.steps for job in plans[1].jobs} == {300_000, 500_000}
 
 
 def test_settings_of_the_chain_reach_it_and_those_who_need_it() -> None:
@@ -84,7 +84,7 @@ def test_settings_of_the_chain_reach_it_and_those_who_need_it() -> None:
     assert chain(plans[0])["airl"] != chain(plans[1])["airl"]
     assert chain(plans[0])["demos"] == chain(plans[1])["demos"]
     assert chain(plans[0]) == chain(plans[2])
-    assert plans[1].needed[-1].config.steps == 9000
+    assert plans[1].needed[-1].steps == 9000
 
 
 def test_amounts_in_a_manifest_shrink_with_the_profile(tmp_path: Path) -> None:
@@ -94,14 +94,14 @@ def test_amounts_in_a_manifest_shrink_with_the_profile(tmp_path: Path) -> None:
         grid={"tasks": ["button-press"], "methods": ["rrm-imitation"]},
         defaults={"imitation": {"steps": 500_000}},
     )
-    assert make_plan(mine, profile="laptop").needed[-1].config.steps == 30_000  # type: ignore[arg-type]
+    assert make_plan(mine, profile="laptop").needed[-1].steps == 30_000  # type: ignore[arg-type]
 
 
 def test_fine_tuning_needs_demonstrations_alone() -> None:
     """It trains its own g."""
     plan = make_plan(load(EXPERIMENTS / "finetune.toml"), methods=["finetune"])
     assert list(chain(plan)) == ["expert", "demos"]
-    config = plan.jobs[0].config
+    config = plan.configs[plan.jobs[0].id]
     assert isinstance(config, RunConfig)
     assert config.requires == (chain(plan)["demos"],)
     assert (config.random_steps, config.first_session) == (5000, 400_000)

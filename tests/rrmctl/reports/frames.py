@@ -8,12 +8,13 @@ from pathlib import Path
 import pandas as pd
 
 from rrmctl.store.curve import SETTINGS, table_of
-from rrmctl.store.files import write_json, write_table
+from rrmctl.store.files import write_table
 from rrmctl.store.layout import Layout
-from rrmctl.store.reader import PLANNED
+from rrmctl.store.records import write_json
 from rrmctl.store.schema import IDENTITY, MEASURED
+from rrmctl.store.snapshot import PLANNED
 from rrmctl.store.status import RunState, Status, write_status
-from rrmctl.store.sweeps import JobRecord, SweepRecord, record_sweep
+from rrmctl.store.sweeps import Job, SweepRecord, record_sweep
 
 #: Success of each seed at steps 100, 200, 300, 400; the true return is a thousand times that.
 RISING = {
@@ -29,6 +30,7 @@ RECORDED = {
     "fingerprint": {"metaworld": "3.1.1", "mujoco": "3.3.0", "true_reward": "aaaa"},
     "code": "c0de",
 }
+NAMES = list(PLANNED)
 RETURN_TASKS = ("walker-walk", "quadruped-walk")
 
 
@@ -71,7 +73,7 @@ class Sweep:
                     cell = self.cells.get(key, digits(self.variant, task, method, *own))
                     who = (self.experiment, self.variant, self.profile, json.dumps(self.overrides))
                     rows.append((*who, *labels, run, cell, self.states.get(key, "done"), 1, 400, 400, ""))
-        return pd.DataFrame(rows, columns=list(PLANNED))
+        return pd.DataFrame(rows, columns=NAMES)
 
     def _version(self, key: tuple[str, str, int]) -> tuple[int, ...]:
         """Part of a run's identity, where it is not the usual one."""
@@ -88,9 +90,9 @@ class Sweep:
                 measured |= {name: at[number - 1] for name, at in self.measured.get(job["method"], {}).items()}
                 if job["task"] in RETURN_TASKS:
                     measured["success"] = float("nan")
-                labels = {name: job[name] for name in PLANNED[:3] + PLANNED[4:12]}
+                labels = {name: job[name] for name in (*NAMES[:3], *NAMES[4:12])}
                 rows.append(labels | measured)
-        return pd.DataFrame(rows, columns=[*PLANNED[:3], *PLANNED[4:12], *MEASURED, *FIGURES])
+        return pd.DataFrame(rows, columns=[*NAMES[:3], *NAMES[4:12], *MEASURED, *FIGURES])
 
     def frames(self) -> tuple[pd.DataFrame, pd.DataFrame]:
         return self.rows(), self.jobs()
@@ -102,7 +104,7 @@ class Sweep:
         """The same as files, through the store's own writers."""
         layout, jobs, rows = Layout(root), self.jobs(), self.rows()
         names = ("cell", "task", "method", "teacher", "feedback", "seed", "steps")
-        records = tuple(JobRecord(id=job["run"], **{n: job[n] for n in names}) for job in jobs.to_dict("records"))
+        records = tuple(Job(id=job["run"], **{n: job[n] for n in names}) for job in jobs.to_dict("records"))
         sweep = SweepRecord(
             experiment=self.experiment,
             variant=self.variant,

@@ -6,10 +6,11 @@ import numpy as np
 import pandas as pd
 
 from rrmctl.reports.select import sections
-from rrmctl.store.reader import PLANNED
 from rrmctl.store.schema import MEASURED
+from rrmctl.store.snapshot import PLANNED
 from tests.rrmctl.reports.frames import FIGURES, digits
 
+NAMES = list(PLANNED)
 FULL = "50@5000/5000"
 
 
@@ -41,9 +42,9 @@ def frames(experiment, series, *, steps, profile="paper", variant=None, override
             for at, step in enumerate(own[: len(columns["success"][seed])]):
                 measured = dict.fromkeys((*MEASURED, *FIGURES), 0.0) | {"step": step, "episodes": 10}
                 measured |= {name: values[seed][at] for name, values in columns.items()}
-                labels = dict(zip(PLANNED[4:12], (*label, seed, run, cell, state), strict=True))
-                rows.append(dict(zip(PLANNED[:3], who[:3], strict=True)) | labels | measured)
-    return pd.DataFrame(rows), pd.DataFrame(jobs, columns=list(PLANNED))
+                labels = dict(zip(NAMES[4:12], (*label, seed, run, cell, state), strict=True))
+                rows.append(dict(zip(NAMES[:3], who[:3], strict=True)) | labels | measured)
+    return pd.DataFrame(rows), pd.DataFrame(jobs, columns=NAMES)
 
 
 def section(experiment, series, **settings):

@@ -7,8 +7,7 @@ import pytest
 
 from rrmctl.planning.manifest import load
 from rrmctl.planning.plan import make_plan
-from rrmctl.reports.claims import BOX, FINAL, MEAN, Arm, Budget, Claim, Reading, above, at_least, below
-from rrmctl.reports.prose import CLAIMS
+from rrmctl.reports.claims import CLAIMS, Arm, Claim, Reading, Test, read_claims
 from rrmctl.reports.report import NoDataError
 from rrmctl.reports.statistics import Statistics
 from rrmctl.reports.tables import claims
@@ -19,6 +18,20 @@ QUICK = Statistics(replicates=2000)
 STEPS = list(range(10_000, 510_000, 10_000))
 EXPERIMENTS = Path(__file__).parents[3] / "experiments"
 LITTLE = "5@5000/500"
+FINAL, BOX = Reading(words="last step"), Reading(words="common step", steps="common")
+MEAN = Reading(words="mean over steps", steps="all")
+
+
+def at_least(bound, *arms, reading=FINAL):
+    return tuple(Test(Arm.of(arm), "at least", bound, reading) for arm in arms)
+
+
+def below(bound, *arms, reading=FINAL):
+    return tuple(Test(Arm.of(arm), "below", bound, reading) for arm in arms)
+
+
+def above(other, *arms, reading=MEAN):
+    return tuple(Test(Arm.of(arm), "above", Arm.of(other), reading) for arm in arms)
 
 
 def claim(*tests, tasks=("button-press",), pooled=False):
@@ -133,7 +146,7 @@ def test_few_seeds_do_not_seem_steadier(seeds, expected):
 
 def test_schedules_are_found_at_every_scale():
     """A tenth of the questions is a tenth of them in a shorter profile too."""
-    tests = below(0.6, Arm("pebble", budget=Budget(batch=0.1)), Arm("pebble", budget=Budget(every=4)))
+    tests = below(0.6, "pebble (batch x 0.1)", "pebble (every x 4)")
     for labels in ((FULL, LITTLE, "50@20000/1250"), ("50@2500/2000", "5@2500/200", "50@10000/500")):
         ends = dict(zip(labels, (0.9, 0.2, 0.3), strict=True))
         series = {("button-press", "pebble", "oracle", name): curve(end, end) for name, end in ends.items()}
@@ -188,6 +201,41 @@ def test_every_claim_is_one_of_a_manifest(experiment):
         judged = judge(each, {experiment: found}, Statistics(replicates=100))
         assert {finding.why for finding in judged.findings} <= {"", "the interval allows both"}, each.name
         assert all(finding.found.n == 3 for finding in judged.findings)
+
+
+ENTRY = {"arms": ["pebble"], "below": 0.5, "reading": "final"}
+CLAIM = {"name": "c", "says": "so", "where": "here", "experiment": "e", "tasks": ["button-press"]}
+
+
+@pytest.mark.parametrize(
+    ("claim", "entry", "error"),
+    [
+        ({"say": "so"}, {}, ValueError),
+        ({}, {"belo": 0.5}, ValueError),
+        ({}, {"at least": 0.5}, ValueError),
+        ({}, {"reading": "nowhere"}, KeyError),
+        ({}, {"arms": ["pebble (batches x 0.1)"]}, ValueError),
+        ({}, {"arms": ["pebble (mistaken-10"]}, ValueError),
+    ],
+)
+def test_a_file_of_claims_holds_nothing_unknown(claim, entry, error):
+    """A key, relation, reading or arm that is none is refused, and what is left is a claim."""
+    readings = {"final": {"words": "last step"}}
+    (read,) = read_claims({"readings": readings, "claims": [CLAIM | {"tests": [ENTRY]}]})
+    assert read.tests == below(0.5, "pebble")
+    with pytest.raises(error):
+        read_claims({"readings": readings, "claims": [CLAIM | {"tests": [ENTRY | entry]} | claim]})
+    for key, value in (("step", "all"), ("steps", "al"), ("measure", "label accuracy"), ("unit", "percent")):
+        with pytest.raises(ValueError, match=key):
+            read_claims({"readings": {"final": {"words": "last step", key: value}}, "claims": []})
+
+
+def test_arms_are_written_as_they_are_shown():
+    """A method, its teacher, or its feedback by its proportion to the fullest schedule."""
+    assert Arm.of("rrm-proxy")[1:] == ("rrm-proxy", None, None)
+    assert Arm.of("pebble (mistaken-10)") == Arm("pebble (mistaken-10)", "pebble", "mistaken-10", None)
+    schedules = [Arm.of(f"pebble ({words})").budget for words in ("full feedback", "batch x 0.1", "every x 4")]
+    assert schedules == [(1.0, 1.0), (0.1, 1.0), (1.0, 4.0)]
 
 
 def test_claims_have_names_of_their_own():

@@ -6,7 +6,8 @@ from typer.testing import CliRunner
 
 from rrmctl.cli.app import app
 from rrmctl.errors import UserError
-from rrmctl.reports import aggregates, comparability
+from rrmctl.reports import comparability
+from rrmctl.reports.iqm_curves import write_curves
 from rrmctl.reports.render import FORMATS
 from rrmctl.reports.select import of_profile, read_sections
 from rrmctl.store.layout import Layout
@@ -188,7 +189,7 @@ def test_mixed_curves_are_drawn_on_demand_and_never_kept(tmp_path):
     assert rrmctl("plot", "main-results", "--results", tmp_path, "--allow-mixed").exit_code == 0
     for allowed in (False, True):  # the file is of all variants
         with pytest.raises(UserError, match="not kept"):
-            aggregates.write(Layout(tmp_path), read_sections(tmp_path, allow_mixed=allowed))
+            write_curves(Layout(tmp_path), read_sections(tmp_path, allow_mixed=allowed))
     assert not (tmp_path / "aggregates").exists()
 
 

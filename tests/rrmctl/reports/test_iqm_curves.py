@@ -5,8 +5,7 @@ import pandas as pd
 import pytest
 from scipy.stats import trim_mean
 
-from rrmctl.reports import aggregates
-from rrmctl.reports.iqm_curves import ALL_TASKS, COLUMNS, CURVE_COLUMNS, curve_table, curves, iqm_table
+from rrmctl.reports.iqm_curves import ALL_TASKS, COLUMNS, CURVE_COLUMNS, curve_table, curves, iqm_table, write_curves
 from rrmctl.reports.select import sections
 from rrmctl.reports.statistics import Statistics
 from rrmctl.store.layout import Layout
@@ -119,15 +118,15 @@ def test_a_row_depends_on_its_own_runs_alone():
 def test_columns_are_as_documented():
     """The tables have the documented columns and no others."""
     (section,) = sections(*Sweep().frames())
-    assert tuple(iqm_table(section, QUICK).columns) == COLUMNS
-    assert tuple(curve_table(section, QUICK).columns) == CURVE_COLUMNS
+    assert list(iqm_table(section, QUICK).columns) == [column.name for column in COLUMNS]
+    assert list(curve_table(section, QUICK).columns) == list(CURVE_COLUMNS)
 
 
 def test_curves_are_kept_as_parquet(tmp_path):
     """The aggregated file has one row per series and step, plain types, and NaN where there is no interval."""
     short = Sweep(curves=RISING | {"pebble": RISING["pebble"][:2]})
     (section,) = sections(*short.frames())
-    aggregates.write(Layout(tmp_path), [section], QUICK)
+    write_curves(Layout(tmp_path), [section], QUICK)
     read = pd.read_parquet(tmp_path / "aggregates" / "main-results.parquet")
     assert len(read) == 3 * 4
     pebble = read[read["method"] == "pebble"]

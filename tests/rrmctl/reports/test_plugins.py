@@ -17,7 +17,7 @@ import rrmctl
 from rrmctl.errors import UserError
 from rrmctl.reports.frames import table
 from rrmctl.reports.render import FORMATS, print_terminal, to_text
-from rrmctl.reports.report import Grid, Report, highest
+from rrmctl.reports.report import Column, Grid, Report, highest, tabled
 from rrmctl.reports.select import read_sections
 from rrmctl.reports.statistics import Statistics
 from rrmctl.reports.tables import kinds
@@ -116,7 +116,7 @@ def test_every_kind_is_whole(name):
 
 
 def bold(cell="97.5 %"):
-    grid = Grid.of({"Method": ["a", "b"], "IQM": ["3.0 %", cell]}, words=1, best=frozenset({(1, 1)}))
+    grid = Grid(("Method", "IQM"), (("a", "3.0 %"), ("b", cell)), best=frozenset({(1, 1)}))
     return Report("t", pd.DataFrame({"x": [1]}), grid, (), {"experiment": "e", "profile": "p", "variant": "v"})
 
 
@@ -130,6 +130,30 @@ def test_the_best_is_bold_in_every_text():
     print_terminal([bold()], Console(file=file, force_terminal=True, width=80, color_system="standard"))
     assert "\x1b[1m97.5 %\x1b[0m" in file.getvalue()
     assert "\x1b[1m3.0 %" not in file.getvalue()
+
+
+def test_columns_are_the_frame_and_the_text():
+    """Values have their types and what is missing is NaN; people see what has a heading and tells rows apart."""
+    columns = (
+        Column("task", heading="Task", apart=()),
+        Column("method", heading="Method"),
+        Column("score", "float64", "Score", lambda row: f"{row['score']:.0f}", best=("task",)),
+        Column("n", "Int64"),
+    )
+    rows = [
+        {"task": "a", "method": "oracle", "score": 9.0, "n": 2},
+        {"task": "a", "method": "pebble", "score": 1.0, "n": 3},
+        {"task": "a", "method": "mrn", "score": 2.0},
+    ]
+    table, whole = tabled(columns, rows)
+    assert {name: str(kind) for name, kind in table.dtypes.items()} == {
+        "task": "str", "method": "str", "score": "float64", "n": "Int64"
+    }  # fmt: skip
+    assert table["n"].isna().tolist() == [False, False, True]
+    grid = Grid.of(columns, whole)
+    assert (grid.header, grid.words, grid.best) == (("Method", "Score"), 1, {(2, 1)})
+    assert grid.rows == (("oracle", "9"), ("pebble", "1"), ("mrn", "2"))
+    assert Grid.of(columns, [*whole, whole[0] | {"task": "b"}]).header == ("Task", "Method", "Score")
 
 
 cells = st.text(st.characters(codec="latin-1", categories=("L", "N", "P", "S")), min_size=1, max_size=6)

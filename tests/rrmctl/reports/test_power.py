@@ -48,7 +48,7 @@ def test_it_is_a_command():
 def test_every_pair_is_a_row_with_its_difference():
     """Interquartile means of the runs' areas, and how often a run of one beats one of the other."""
     found = report(section())
-    assert list(found.table.columns) == list(COLUMNS)
+    assert list(found.table.columns) == [column.name for column in COLUMNS]
     assert list(zip(found.table["method"], found.table["against"], strict=True)) == [
         ("pebble", "oracle"), ("rrm-proxy", "oracle"), ("rrm-proxy", "pebble")
     ]  # fmt: skip
@@ -123,7 +123,7 @@ def test_no_other_run_changes_a_runs_number():
     """A sixth seed that was not a number at two steps leaves the others' numbers alone and is named as not compared."""
     curves = RISING | {"pebble": [*RISING["pebble"], [0.1, 0.2, 0.3, 0.4]]}
     found = broken(curves)
-    without, beside = decide(section(), None).contests, decide(found, None).contests
+    without, beside = decide(section(), None).all, decide(found, None).all
     for one, other in zip(without, beside, strict=True):
         np.testing.assert_array_equal(one.ours, other.ours)
         np.testing.assert_array_equal(one.theirs, other.theirs)
@@ -137,7 +137,7 @@ def test_no_other_run_changes_a_runs_number():
 def test_a_run_without_a_number_holds_up_its_group():
     """As if it were missing: the seeds after it wait."""
     curves = {"rrm-proxy": runs(0.8, 5, 2), "pebble": runs(0.3, 5, 1)}
-    (contest,) = decide(broken(curves), None).contests
+    (contest,) = decide(broken(curves), None).all
     assert (contest.verdict.looks, contest.theirs.size + contest.ours.size) == (0, 9)
 
 
@@ -146,7 +146,7 @@ def test_methods_evaluated_at_different_steps_are_compared():
     rows, jobs = Sweep().frames()
     rows["step"] += 50 * (rows["method"] == "pebble")
     (found,) = sections(rows, jobs)
-    both = decide(found, None).contests[-1]
+    both = decide(found, None).all[-1]
     np.testing.assert_allclose(both.ours, areas("rrm-proxy"))
     np.testing.assert_allclose(both.theirs, areas("pebble"))
 
@@ -159,10 +159,8 @@ def test_a_trial_sets_the_rules():
     pair = Pairing("button-press", *FEEDBACK, "surf", "rrm-proxy")
     trial = Trial(group=4, looks=2, alpha=0.05, pairs=(pair,))
     contests = decide(found, trial)
-    assert [(each.pair, each.verdict.decision, each.verdict.looks) for each in contests.contests] == [
-        (pair, "smaller", 2)
-    ]
-    assert decide(found, trial, seeds=range(4)).contests[0].verdict.decision == "open"
+    assert [(each.pair, each.verdict.decision, each.verdict.looks) for each in contests.all] == [(pair, "smaller", 2)]
+    assert decide(found, trial, seeds=range(4)).all[0].verdict.decision == "open"
     assert any("No rules were fixed" in note for note in free.notes)
 
 
@@ -192,7 +190,7 @@ def test_another_teachers_missing_run_holds_up_nothing():
     failed = {("button-press", "pebble", 0): "failed"}
     own, other = Sweep(curves=curves).frames(), Sweep(curves=curves, teacher="mistaken-10", states=failed).frames()
     (found,) = sections(*(pd.concat([a[a["seed"] > 0], b]) for a, b in zip(own, other, strict=True)))
-    looks = {each.pair.teacher: each.verdict.looks for each in decide(found, None).contests}
+    looks = {each.pair.teacher: each.verdict.looks for each in decide(found, None).all}
     assert looks == {"oracle": 1, "mistaken-10": 0}
 
 

@@ -78,11 +78,11 @@ def unequal(steps):
 def test_the_figure_shows_the_tables_numbers(other):
     """The panel of several tasks is the mean over them, as in `report less-feedback`, whatever steps each has."""
     frames = unequal({"button-press": [100, 200], "door-open": other})
-    table = less_feedback_table.table(*sections(*frames), Statistics(replicates=200))
+    (report,) = less_feedback_table.make(sections(*frames), Statistics(replicates=200))
     figure = less_feedback(*frames, replicates=200)
     assert titles(figure) == ["button-press", "door-open", "success tasks"]
-    for axes, task in zip(panels(figure), ("button-press", "door-open", less_feedback_table.ALL_TASKS), strict=True):
-        rows = table[table["task"] == task]
+    for axes, task in zip(panels(figure), ("button-press", "door-open", less_feedback_table.EVERY_TASK), strict=True):
+        rows = report.table[report.table["task"] == task]
         np.testing.assert_allclose(lines(axes, "pebble")[0].get_ydata(), 100 * rows["mean_iqm"])
         ends = [segment[:, 1] for segment in axes.collections[0].get_segments()]
         np.testing.assert_allclose(ends, 100 * rows[["low", "high"]])

@@ -1,5 +1,6 @@
 import io
 import json
+import math
 import re
 import tomllib
 from pathlib import Path
@@ -39,6 +40,11 @@ def noisy(profile="paper"):
     return section("noisy-teacher", series, steps=STEPS, profile=profile)
 
 
+def table_of(kind, found, settings):
+    (report,) = kind.make([found], settings)
+    return report.table
+
+
 def row(table, **wanted):
     found = table
     for name, value in wanted.items():
@@ -49,7 +55,7 @@ def row(table, **wanted):
 
 def test_every_published_value_is_in_a_row_of_its_own():
     """Fifteen published values stand beside fifteen rows of ours, and the difference is ours less theirs."""
-    table = noisy_teacher.table(noisy(), QUICK)
+    table = table_of(noisy_teacher, noisy(), QUICK)
     assert len(table) == 15
     assert table["published"].notna().all()
     np.testing.assert_allclose(table["difference"], table["iqm"] - table["published"])
@@ -59,7 +65,7 @@ def test_every_published_value_is_in_a_row_of_its_own():
 
 def test_the_oracle_is_read_where_the_stochastic_runs_end():
     """The oracle's run of 500,000 steps is read at 300,000 for the stochastic column, at its end for the others."""
-    table = noisy_teacher.table(noisy(), QUICK)
+    table = table_of(noisy_teacher, noisy(), QUICK)
     assert [row(table, teacher=t, method="oracle")["step"] for t in TEACHERS] == [300_000, 500_000, 500_000]
     assert [row(table, teacher=t, method="oracle")["iqm"] for t in TEACHERS] == [pytest.approx(0.7), 1.0, 1.0]
 
@@ -144,7 +150,7 @@ def test_other_experiments_have_no_table_of_teachers_who_err():
 def test_the_last_step_is_read_with_its_interval():
     """`final` is the IQM of the last step, with the quartiles of the seeds."""
     values = curve(0.0, 0.5, spread=0.3, seeds=8)
-    table = final.table(section("toy", {("toy-car", "pebble", "oracle", FULL): values}, steps=[100, 200]), QUICK)
+    table = table_of(final, section("toy", {("toy-car", "pebble", "oracle", FULL): values}, steps=[100, 200]), QUICK)
     found = row(table, method="pebble")
     assert (found["step"], found["n"], found["iqm"]) == (200, 8, pytest.approx(trim_mean(values[:, 1], 0.25)))
     assert found["low"] < found["q25"] + 0.1 < found["iqm"] < found["high"]
@@ -162,14 +168,14 @@ def little(tasks=("button-press", "door-open"), methods=("pebble", "rrm-proxy"),
 def test_a_budget_is_the_mean_of_the_iqm_over_the_evaluations():
     """Each point is the mean over the evaluation steps of the IQM over seeds; all tasks together are their mean."""
     found = little()
-    table = less_feedback.table(found, QUICK)
+    table = table_of(less_feedback, found, QUICK)
     one = row(table, task="door-open", method="pebble", feedback="5@5000/500")
     values = next(s for s in found.series if s.label[:2] == ("door-open", "pebble") and "5@5000/500" in s.label).values
     assert one["mean_iqm"] == pytest.approx(trim_mean(values, 0.25, axis=0).mean())
     assert (one["evaluations"], one["first_step"], one["last_step"], one["n"]) == (3, 100, 300, 5)
     each = table[(table["method"] == "pebble") & (table["feedback"] == "5@5000/500")]
-    pooled = each[each["task"] == less_feedback.ALL_TASKS].iloc[0]
-    assert pooled["mean_iqm"] == pytest.approx(each[each["task"] != less_feedback.ALL_TASKS]["mean_iqm"].mean())
+    pooled = each[each["task"] == less_feedback.EVERY_TASK].iloc[0]
+    assert pooled["mean_iqm"] == pytest.approx(each[each["task"] != less_feedback.EVERY_TASK]["mean_iqm"].mean())
     assert pooled["low"] < pooled["mean_iqm"] < pooled["high"]
     assert pooled["n"] == 10
 
@@ -195,14 +201,14 @@ def test_tasks_are_averaged_however_many_evaluations_they_share(steps):
         for at, task in enumerate(("button-press", "door-open", "door-unlock", "window-open"))
         for feedback in (FULL, "5@5000/500")
     }
-    table = less_feedback.table(section("less-feedback", series, steps=steps), QUICK)
-    assert table[table["task"] == less_feedback.ALL_TASKS]["mean_iqm"].tolist() == [0.75, 0.75]
+    table = table_of(less_feedback, section("less-feedback", series, steps=steps), QUICK)
+    assert table[table["task"] == less_feedback.EVERY_TASK]["mean_iqm"].tolist() == [0.75, 0.75]
 
 
 def test_the_mean_over_tasks_is_surer_than_one_task():
     """Its interval comes from resampling every task on its own, so that independent deviations even out."""
-    table = less_feedback.table(little(), Statistics(replicates=2000))
-    width = (table["high"] - table["low"]).groupby(table["task"] == less_feedback.ALL_TASKS).mean()
+    table = table_of(less_feedback, little(), Statistics(replicates=2000))
+    width = (table["high"] - table["low"]).groupby(table["task"] == less_feedback.EVERY_TASK).mean()
     assert 0.55 < width[True] / width[False] < 0.85  # the square root of a half, were they normal
 
 
@@ -234,7 +240,7 @@ def deployed(profile="paper", length=10):
 
 def test_checkpoints_stand_beside_the_physical_robots(robot):
     """Each task and method has three checkpoints with success and return, all published, with the difference."""
-    table = sim_to_real.table(deployed(), QUICK)
+    table = table_of(sim_to_real, deployed(), QUICK)
     assert len(table) == 6 * 3 * 2
     assert table["published"].notna().all()
     push = row(table, task="panda-push", method="rrm-h2o", paper_step=600_000, score="return")
@@ -246,13 +252,13 @@ def test_checkpoints_stand_beside_the_physical_robots(robot):
 
 def test_shorter_profiles_are_read_at_the_same_share(robot):
     """A training of a fifth of the length is read at a fifth of the steps."""
-    table = sim_to_real.table(deployed(profile="laptop"), QUICK)
+    table = table_of(sim_to_real, deployed(profile="laptop"), QUICK)
     assert set(table[table["task"] == "panda-push"]["step"]) == {80_000, 120_000, 160_000}
 
 
 def test_checkpoints_that_are_not_reached_are_left_open(robot):
     """Runs under way give the checkpoints that they have passed, with n 0 for the others."""
-    table = sim_to_real.table(deployed(length=5), QUICK)
+    table = table_of(sim_to_real, deployed(length=5), QUICK)
     push = table[(table["task"] == "panda-push") & (table["score"] == "success") & (table["method"] == "pebble")]
     assert list(push["n"]) == [5, 0, 0]
     assert push["iqm"].isna().tolist() == [False, True, True]
@@ -265,10 +271,10 @@ def test_evaluations_that_are_not_a_number_are_passed_over(robot):
     values[0, 2] = np.nan
     steps = [each // 5 for each in whole]
     found = section("sim-to-real", {label: {"success": values, "true_return": values}}, steps=steps, profile="laptop")
-    assert list(sim_to_real.table(found, QUICK).query("score == 'success'")["step"]) == [80_000, 80_000, 160_000]
+    assert list(table_of(sim_to_real, found, QUICK).query("score == 'success'")["step"]) == [80_000, 80_000, 160_000]
     for profile in ("laptop", "paper"):
         nothing = section("sim-to-real", {label: np.full((5, 5), np.nan)}, steps=whole, profile=profile)
-        assert list(sim_to_real.table(nothing, QUICK)["n"]) == [0] * 6
+        assert list(table_of(sim_to_real, nothing, QUICK)["n"]) == [0] * 6
 
 
 def test_the_robots_grid_has_both_scores(robot):
@@ -315,9 +321,9 @@ def test_published_values_are_percentages_and_complete():
 
 def test_nothing_of_ours_comes_from_the_paper(monkeypatch):
     """Without the published values every number of ours is the same."""
-    before = noisy_teacher.table(noisy(), QUICK)
-    monkeypatch.setattr(published, "final", lambda *_: None)
-    after = noisy_teacher.table(noisy(), QUICK)
+    before = table_of(noisy_teacher, noisy(), QUICK)
+    monkeypatch.setattr(published, "final", lambda *_: (math.nan, math.nan))
+    after = table_of(noisy_teacher, noisy(), QUICK)
     assert after["published"].isna().all()
     ours = ["teacher", "method", "step", "iqm", "low", "high", "n"]
     pd.testing.assert_frame_equal(before[ours], after[ours])

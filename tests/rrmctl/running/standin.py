@@ -27,11 +27,10 @@ from rrm.types import EvalRow
 from rrmctl.running import parent_link, worker
 from rrmctl.running.config_file import config_content
 from rrmctl.running.monitor import RunMonitor
-from rrmctl.running.supervisor import Assignment
 from rrmctl.store import lease, owner
 from rrmctl.store.layout import Layout, RunFolder
-from rrmctl.store.status import record_config
-from rrmctl.store.sweeps import JobRecord, SweepRecord, record_sweep
+from rrmctl.store.provenance import record_config
+from rrmctl.store.sweeps import Job, SweepRecord, record_sweep
 
 COMMAND = (sys.executable, __file__)
 STEP_S = 0.002
@@ -56,21 +55,21 @@ def config(seed: int, steps: int = 40, every: int = 10) -> RunConfig:
     )  # fmt: skip
 
 
-def prepare(root: Path, seeds: range, steps: int = 40, every: int = 10) -> tuple[Layout, list[Assignment]]:
+def prepare(root: Path, seeds: range, steps: int = 40, every: int = 10) -> tuple[Layout, list[Job]]:
     """A results folder in which a sweep over these seeds is recorded, and its jobs."""
     layout = Layout(root)
     configs = [config(seed, steps, every) for seed in seeds]
     for each in configs:
         record_config(layout.run(each.identity), config_content(each))
     jobs = tuple(
-        JobRecord(
+        Job(
             id=each.identity, cell=each.cell, task="toy-car", method="oracle", teacher="-", feedback="-",
             seed=each.seed, steps=steps,
         )
         for each in configs
     )  # fmt: skip
     record_sweep(layout, SweepRecord(experiment="stand-in", variant="smoke", profile="smoke", jobs=jobs))
-    return layout, [Assignment(id=job.id, label=job.label, steps=steps) for job in jobs]
+    return layout, list(jobs)
 
 
 def expected(seeds: range, steps: int = 40, every: int = 10) -> list[tuple[int, int, float]]:

@@ -9,14 +9,14 @@ from pathlib import Path
 
 from rrmctl.errors import Exit
 from rrmctl.running.executor import Ended, Evaluated, Event, Note, Started, WorkOrder
-from rrmctl.running.scheduler import Ending, Outcome, Stage
+from rrmctl.running.scheduler import Outcome, Stage
 from rrmctl.running.supervisor import Supervisor
 from rrmctl.store.layout import Layout
 from rrmctl.store.status import ErrorKind, RunError, RunState, Status, read_status, write_status
 from tests.rrmctl.running.standin import prepare
 from tests.rrmctl.running.test_supervisor import Record
 
-CRASH = Outcome(Ending.FAILED, RunError(kind=ErrorKind.CRASHED, type="RuntimeError", message="boom"))
+CRASH = Outcome(Stage.FAILED, RunError(kind=ErrorKind.CRASHED, type="RuntimeError", message="boom"))
 
 
 class Threads:
@@ -40,7 +40,7 @@ class Threads:
         if not crashes:
             self._events.put(Evaluated(run, 40, 1.0, 1.0))
             write_status(self.layout.run(run), Status(state=RunState.DONE, attempt=number, step=40, steps=40))
-        self._events.put(Ended(run, CRASH if crashes else Outcome(Ending.DONE)))
+        self._events.put(Ended(run, CRASH if crashes else Outcome(Stage.DONE)))
 
     def events(self, wait_s: float) -> Iterator[Event]:
         try:
@@ -66,7 +66,7 @@ def test_threads_can_run_a_sweep(tmp_path: Path) -> None:
     """All end, the one that crashed was tried again behind the others, and every event reached the watcher."""
     layout, assigned = prepare(tmp_path, range(4))
     executor, watcher = Threads(layout, assigned[0].id), Record()
-    pool = Supervisor(layout=layout, assignments=assigned, slots=2, watcher=watcher, executor=executor)
+    pool = Supervisor(layout=layout, jobs=assigned, slots=2, watcher=watcher, executor=executor)
     assert pool.run() is Exit.DONE
     assert [order.run for order in executor.orders] == [*(job.id for job in assigned), assigned[0].id]
     assert set(watcher.phases.values()) == {Stage.DONE}

@@ -15,6 +15,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from rrmctl.running.executor import Event, Note, WorkOrder
 from rrmctl.running.parent_link import Pipe, StopRequest, _line
 from rrmctl.running.process import Child
 from rrmctl.store.layout import Layout
@@ -37,10 +38,10 @@ def received(reading: int) -> list[dict[str, object]]:
 
 
 def test_messages_are_lines_of_json(ends: tuple[int, Pipe]) -> None:
-    """Beats are few however often they are given; NaN becomes null."""
+    """Beats are few however often they are given."""
     reading, pipe = ends
     for step in range(1000):
-        pipe.beat(step, float("nan"))
+        pipe.beat(step=step, steps_per_s=None)
     pipe.error(RunError(kind=ErrorKind.REFUSED, type="PriorError", message="NaN"))
     first, *_, last = received(reading)
     assert first == {"event": "beat", "step": 0, "steps_per_s": None}
@@ -116,23 +117,19 @@ def test_rubbish_in_the_pipe_is_shown_not_obeyed(tmp_path: Path) -> None:
         "import os, sys; pipe = int(sys.argv[sys.argv.index('--pipe') + 1]); "
         'os.write(pipe, b\'rubbish\\n[1]\\n{"event": "x"}\\n\')'
     )
-    child = Child(layout, "r", threads=1, command=[sys.executable, "-c", script])
-    messages: list[dict[str, object]] = []
+    child = Child(layout, WorkOrder(run="r", threads=1), command=[sys.executable, "-c", script])
+    events: list[Event] = []
     while child.open:
-        messages += child.messages()
+        events += child.events()
     child.wait()
-    assert messages == [
-        {"event": "note", "text": "b'rubbish'"},
-        {"event": "note", "text": "b'[1]'"},
-        {"event": "x"},
-    ]
+    assert events == [Note("r", "b'rubbish'"), Note("r", "b'[1]'")]
 
 
 def test_a_group_is_ended_while_its_number_is_its_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Its leader has ended and is not reaped yet when the signal is sent; afterwards none is sent any more."""
     layout = Layout(tmp_path)
     layout.run("r").path.mkdir(parents=True)
-    child = Child(layout, "r", threads=1, command=[sys.executable, "-c", "pass"])
+    child = Child(layout, WorkOrder(run="r", threads=1), command=[sys.executable, "-c", "pass"])
     leader = Path(f"/proc/{child._process.pid}/stat")
     states = []
 

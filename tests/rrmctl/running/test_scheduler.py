@@ -7,14 +7,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rrmctl.errors import Exit
-from rrmctl.running.scheduler import KILLED_RETRIES, Ending, Outcome, Scheduler, Stage
+from rrmctl.running.scheduler import KILLED_RETRIES, Outcome, Scheduler, Stage
 from rrmctl.store.status import ErrorKind, RunError
 
-DONE, STOPPED, ELSEWHERE = (Outcome(ending) for ending in (Ending.DONE, Ending.STOPPED, Ending.ELSEWHERE))
+DONE, STOPPED, ELSEWHERE = (Outcome(ending) for ending in (Stage.DONE, Stage.STOPPED, Stage.ELSEWHERE))
 
 
 def failed(kind: ErrorKind) -> Outcome:
-    return Outcome(Ending.FAILED, RunError(kind=kind, type="x", message="x"))
+    return Outcome(Stage.FAILED, RunError(kind=kind, type="x", message="x"))
 
 
 def start_all(scheduler: Scheduler) -> list[str]:

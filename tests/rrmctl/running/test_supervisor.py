@@ -24,12 +24,12 @@ from rrmctl.cli.app import app
 from rrmctl.errors import Exit
 from rrmctl.running.local import LocalExecutor
 from rrmctl.running.scheduler import Outcome, Stage
-from rrmctl.running.supervisor import Assignment, Supervisor
+from rrmctl.running.supervisor import Supervisor, Terms
 from rrmctl.store import load
-from rrmctl.store.files import try_lock
 from rrmctl.store.layout import Layout
-from rrmctl.store.reader import log_tail, run_status
-from rrmctl.store.status import ErrorKind, RunState, read_status, write_status
+from rrmctl.store.locks import try_lock
+from rrmctl.store.status import ErrorKind, RunState, log_tail, read_status, run_status, write_status
+from rrmctl.store.sweeps import Job
 from tests.rrmctl.running.standin import COMMAND, expected, prepare
 
 #: A parent of its own: runs the sweep in argv[1] with argv[2] workers, and leaves with the pool's code.
@@ -43,7 +43,7 @@ from rrmctl.running.supervisor import Supervisor
 root, (jobs, slots, steps, lease_s) = Path(sys.argv[1]), map(int, sys.argv[2:])
 layout, assigned = prepare(root, range(jobs), steps)
 sys.exit(Supervisor(
-    layout=layout, assignments=assigned, slots=slots, watcher=Record(), lease_s=lease_s,
+    layout=layout, jobs=assigned, slots=slots, watcher=Record(), lease_s=lease_s,
     executor=LocalExecutor(layout=layout, command=COMMAND),
 ).run())
 """
@@ -92,18 +92,18 @@ def behave(monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
     return set_
 
 
-def pool(layout: Layout, assigned: list[Assignment], watcher: Record | None = None, **options: object) -> Supervisor:
+def pool(layout: Layout, assigned: list[Job], watcher: Record | None = None, **options: object) -> Supervisor:
     own = {name: options.pop(name) for name in ("hang_after_s", "memory_limit", "command") if name in options}
     executor = LocalExecutor(layout=layout, **({"command": COMMAND} | own))
     settings: dict[str, object] = {"slots": 3, "executor": executor} | options
-    return Supervisor(layout=layout, assignments=assigned, watcher=watcher or Record(), **settings)
+    return Supervisor(layout=layout, jobs=assigned, watcher=watcher or Record(), **settings)
 
 
-def states(layout: Layout, assigned: list[Assignment]) -> list[RunState]:
+def states(layout: Layout, assigned: list[Job]) -> list[RunState]:
     return [run_status(layout.run(job.id)).state for job in assigned]
 
 
-def attempts(layout: Layout, assigned: list[Assignment]) -> list[int]:
+def attempts(layout: Layout, assigned: list[Job]) -> list[int]:
     return [read_status(layout.run(job.id)).attempt for job in assigned]
 
 
@@ -159,7 +159,7 @@ def meanwhile(action: Callable[[], None]) -> Iterator[None]:
     thread.join()
 
 
-def half_way(layout: Layout, assigned: list[Assignment]) -> list[int]:
+def half_way(layout: Layout, assigned: list[Job]) -> list[int]:
     """Wait until these runs are half-way; their processes."""
     until(lambda: all((layout.run(job.id).path / "misbehaved").exists() for job in assigned))
     return [pid for job in assigned if (pid := read_status(layout.run(job.id)).pid) is not None]
@@ -492,8 +492,8 @@ def test_force_starts_from_nothing_once(tmp_path: Path, behave: Callable[..., No
     pool(layout, assigned).run()
     behave(other="crash-once")
     watcher = Record()
-    again = [dataclasses.replace(assigned[0], attempt=1, fresh=True)]
-    assert pool(layout, again, watcher).run() is Exit.DONE
+    terms = {assigned[0].id: Terms(attempt=1, fresh=True)}
+    assert pool(layout, assigned, watcher, terms=terms).run() is Exit.DONE
     assert watcher.notes == ["from step 0", "from step 20"]
     assert attempts(layout, assigned) == [3]
 

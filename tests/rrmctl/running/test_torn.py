@@ -15,10 +15,10 @@ from rrm.training.run_config import RunConfig
 from rrmctl.running.config_file import config_content
 from rrmctl.running.monitor import RunMonitor
 from rrmctl.running.worker import WorkerExit, main
+from rrmctl.store.curve import read_curve
 from rrmctl.store.layout import Layout, RunFolder
-from rrmctl.store.reader import read_curve
+from rrmctl.store.provenance import record_config
 from rrmctl.store.schema import TIMINGS
-from rrmctl.store.status import record_config
 
 pytestmark = pytest.mark.slow
 

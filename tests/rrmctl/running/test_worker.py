@@ -20,11 +20,12 @@ from rrm.training.run_config import RunConfig
 from rrmctl.running.config_file import config_content, load_config
 from rrmctl.running.monitor import RunMonitor
 from rrmctl.running.worker import WorkerExit, main
-from rrmctl.store import provenance, validation
-from rrmctl.store.files import is_locked, try_lock
+from rrmctl.store import provenance, records
+from rrmctl.store.curve import read_curve
 from rrmctl.store.layout import Layout, RunFolder
-from rrmctl.store.reader import read_curve
-from rrmctl.store.status import ErrorKind, RunState, Status, read_status, record_config, write_status
+from rrmctl.store.locks import is_locked, try_lock
+from rrmctl.store.provenance import record_config
+from rrmctl.store.status import ErrorKind, RunState, Status, read_status, write_status
 from tests.rrmctl.running.standin import Trainer, config, prepare
 
 
@@ -180,7 +181,7 @@ def test_a_run_of_another_version_is_refused_and_left_as_it_is(
     """It is whole, and for another program: nothing is set aside or trained again."""
     work(folder)
     before = {path.name: path.read_bytes() for path in folder.path.iterdir() if path.is_file()}
-    monkeypatch.setattr(validation, "SCHEMA_VERSION", 2)
+    monkeypatch.setattr(records, "SCHEMA_VERSION", 2)
     assert work(folder) is WorkerExit.REFUSED
     assert {path.name: path.read_bytes() for path in folder.path.iterdir() if path.is_file()} == before
 
@@ -210,9 +211,9 @@ def test_a_run_without_its_history_looks_mixed(folder: RunFolder, monkeypatch: p
     folder.provenance.write_bytes(folder.provenance.read_bytes()[:-9])
     monkeypatch.setenv("STANDIN_WORLD", "2")
     assert work(folder) is WorkerExit.DONE
-    assert provenance.made_with(folder)["fingerprint.toy-car"] == "unknown, then 2"
+    assert provenance.made_with(provenance.read_provenance(folder))["fingerprint.toy-car"] == "unknown, then 2"
     assert work(folder, "--fresh", "2") is WorkerExit.DONE
-    assert provenance.made_with(folder)["fingerprint.toy-car"] == "2"
+    assert provenance.made_with(provenance.read_provenance(folder))["fingerprint.toy-car"] == "2"
 
 
 def test_a_configuration_that_was_edited_is_refused(folder: RunFolder) -> None:

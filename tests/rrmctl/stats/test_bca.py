@@ -6,7 +6,7 @@ from scipy.stats import bootstrap as scipy_bootstrap
 from scipy.stats import trim_mean
 
 from rrmctl.stats import Iqm, bootstrap, iqm, mean, resample
-from rrmctl.stats.bca import bca_levels, left_out, quantiles_at
+from rrmctl.stats.bootstrap import bca_levels, left_out, quantiles_at
 
 last_mean = partial(mean, axis=-1)
 

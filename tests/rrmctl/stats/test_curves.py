@@ -45,9 +45,9 @@ def test_the_common_step_is_the_first_at_which_four_of_five_are_there():
     assert (found.index, found.step, found.reached, found.by) == (1, 200, True, ("rrm-proxy",))
 
 
-def test_the_oracle_does_not_set_the_step():
-    """Only the learners count; where none gets there it is the last step, flagged."""
-    found = common_step(STEPS, {"oracle": np.ones((5, 3)), "pebble": runs(*[[0, 1, 0.9]] * 3, *[[0, 0, 0]] * 2)})
+def test_where_none_gets_there_it_is_the_last_step():
+    """Flagged as such."""
+    found = common_step(STEPS, {"pebble": runs(*[[0, 1, 0.9]] * 3, *[[0, 0, 0]] * 2)})
     assert (found.step, found.reached, found.by) == (300, False, ())
 
 

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from rrmctl.stats import Comparison, Design, Standing, outlook, sequential_test
-from rrmctl.stats.permutations import sequences
-from rrmctl.stats.sequential import boundaries
+from rrmctl.stats.sequential import boundaries, sequences
 
 ADASTOP = json.loads((Path(__file__).parent / "references" / "adastop.json").read_text())["cases"]
 

@@ -14,12 +14,10 @@ from hypothesis import strategies as st
 
 from rrm.parquet import table_bytes
 from rrm.types import EvalRow
-from rrmctl.store.curve import SETTINGS, decode, table_of
+from rrmctl.store.curve import SETTINGS, CurveWriter, decode, read_curve, table_of
 from rrmctl.store.files import DamagedError, StorageError, VersionError
 from rrmctl.store.layout import Layout, RunFolder
-from rrmctl.store.reader import read_curve
 from rrmctl.store.schema import IDENTITY, MEASURED, SCHEMA_VERSION, VERSION_KEY, curve_schema
-from rrmctl.store.writer import CurveWriter
 from tests.rrmctl.running.standin import row
 
 WHO = {"run": "0123456789abcdef", "cell": "c", "profile": "smoke", "task": "toy-car", "method": "oracle", "seed": 3}

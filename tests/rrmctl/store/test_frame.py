@@ -16,7 +16,7 @@ from rrmctl.reports.iqm_curves import curve_table, iqm_table
 from rrmctl.reports.select import read_sections
 from rrmctl.reports.tables import kinds
 from rrmctl.store import load, load_gradients, planned
-from rrmctl.store.inventory import inventory, table
+from rrmctl.store.snapshot import Snapshot, table
 from tests.rrmctl.reports.frames import FIGURES, Sweep
 
 WHOLE = {"seed", "attempt", "steps", "episodes", "runs", "done", "evaluations", "n", "planned"}
@@ -24,7 +24,7 @@ WHOLE = {"seed", "attempt", "steps", "episodes", "runs", "done", "evaluations", 
 
 def frames(root: Path) -> Iterator[tuple[str, pd.DataFrame]]:
     """Everything that the library hands out as a frame, with rows and without."""
-    runs = inventory(root, "main-results")
+    runs = Snapshot(root, "main-results").runs()
     (section,) = read_sections(root, "main-results")
     yield "load", load(root)
     yield "load of one experiment", load(root, "main-results")
@@ -74,7 +74,7 @@ def test_a_home_folder_is_understood(tmp_path: Path, monkeypatch: pytest.MonkeyP
     """By every function that takes a results folder."""
     monkeypatch.setenv("HOME", str(tmp_path))
     Sweep().write(tmp_path / "ref")
-    runs = inventory(given, "main-results")
+    runs = Snapshot(given, "main-results").runs()
     assert len(load(given)) == len(read(given, "main-results").evaluations()) == 60
     assert len(planned(given)) == len(runs) == 15
     assert len(read_sections(given)) == 1

@@ -10,15 +10,15 @@ import pytest
 
 from rrmctl.store.files import DamagedError
 from rrmctl.store.layout import Layout
-from rrmctl.store.reader import planned, statuses
-from rrmctl.store.status import ErrorKind, RunError, RunState, Status, write_status
-from rrmctl.store.sweeps import JobRecord, SweepRecord, read_sweeps, record_sweep
+from rrmctl.store.snapshot import planned
+from rrmctl.store.status import ErrorKind, RunError, RunState, Status, statuses, write_status
+from rrmctl.store.sweeps import Job, SweepRecord, read_sweeps, record_sweep
 
 ERROR = RunError(kind=ErrorKind.REFUSED, type="DemosError", message="the expert fails")
 
 
-def job(digit: str, *requires: str, method: str = "rrm-imitation") -> JobRecord:
-    return JobRecord(
+def job(digit: str, *requires: str, method: str = "rrm-imitation") -> Job:
+    return Job(
         id=digit * 16, cell=digit * 16, task="toy-car", method=method, teacher="-", feedback="-", seed=int(digit, 16),
         steps=10, requires=tuple(each * 16 for each in requires),
     )  # fmt: skip

@@ -10,13 +10,21 @@ import pytest
 from typer.testing import CliRunner
 
 from rrmctl.cli.app import app
-from rrmctl.store.files import try_lock
 from rrmctl.store.layout import Layout, RunFolder
 from rrmctl.store.lease import Lease
+from rrmctl.store.locks import try_lock
 from rrmctl.store.owner import HERE, Beat, Machine, is_owned, owned, read_beat
-from rrmctl.store.reader import run_status
-from rrmctl.store.status import ErrorKind, RunError, RunState, Status, read_status, record_failure, write_status
-from rrmctl.store.unused import remove
+from rrmctl.store.status import (
+    ErrorKind,
+    RunError,
+    RunState,
+    Status,
+    read_status,
+    record_failure,
+    run_status,
+    write_status,
+)
+from rrmctl.store.sweeps import remove_unused
 from tests.rrmctl.running.standin import prepare
 
 A, B = Machine("a", "boot of a"), Machine("b", "boot of b")
@@ -88,7 +96,7 @@ def test_a_run_of_another_machine_is_left_alone(folder: RunFolder) -> None:
     assert Lease.take(folder) is None
     record_failure(folder, RunError(kind=ErrorKind.KILLED, type="SIGKILL", message="killed"))
     assert read_status(folder).state is RunState.RUNNING
-    assert remove(Layout(folder.results), [folder.id]) == []
+    assert remove_unused(Layout(folder.results), [folder.id]) == []
     assert read_beat(folder) == before
 
 
@@ -127,4 +135,4 @@ def test_what_died_on_this_machine_is_free_at_once(folder: RunFolder) -> None:
         assert lock is not None
         assert run_status(folder).state is RunState.RUNNING
         os.close(lock)
-    assert remove(Layout(folder.results), [folder.id]) == [folder.id]
+    assert remove_unused(Layout(folder.results), [folder.id]) == [folder.id]

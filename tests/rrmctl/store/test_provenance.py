@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import json
 from pathlib import Path
 
@@ -10,14 +9,14 @@ import pytest
 
 from rrmctl.hardware import usable_cores
 from rrmctl.store.layout import Layout, RunFolder
-from rrmctl.store.provenance import Provenance, code_digest, collect, made_with, record
+from rrmctl.store.provenance import code_digest, collect, made_with, read_provenance, record
 
 CONFIG = {"precision": "float32", "threads": 1, "task": "toy-car"}
 
 
-def now(**changes: object) -> Provenance:
+def now(**changes: object) -> dict[str, object]:
     told = collect(CONFIG, {"metaworld": "3.1.1", "reward": "abc"}, ["rrmctl", "run", "toy-car"], attempt=1)
-    return dataclasses.replace(told, **changes)
+    return told | changes
 
 
 @pytest.fixture
@@ -29,7 +28,7 @@ def test_the_first_attempt_is_recorded_whole(folder: RunFolder) -> None:
     """Versions, machine, code, environment, precision, threads, time and command are in the file."""
     assert record(folder, now()) == []
     told = json.loads(folder.provenance.read_text())
-    assert {field.name for field in dataclasses.fields(Provenance)} <= set(told)
+    assert set(now()) <= set(told)
     assert told["versions"]["numpy"][0].isdigit()
     assert told["fingerprint"] == {"metaworld": "3.1.1", "reward": "abc"}
     assert told["argv"] == ["rrmctl", "run", "toy-car"]
@@ -59,12 +58,12 @@ def test_every_change_is_told_once_with_both_values(folder: RunFolder) -> None:
 def test_what_earlier_attempts_ran_with_is_unknown_where_it_is_lost(folder: RunFolder, trained: str) -> None:
     """A run whose record was set aside is not taken for one made as its last attempt was."""
     record(folder, now())
-    assert made_with(folder)["threads"] == "1"
+    assert made_with(read_provenance(folder))["threads"] == "1"
     folder.provenance.unlink()
     getattr(folder, trained).mkdir()
     record(folder, now(threads=2))
     record(folder, now(threads=3))
-    told = made_with(folder)
+    told = made_with(read_provenance(folder))
     assert told["threads"] == "unknown, then 2, then 3"
     assert told["fingerprint.reward"] == "unknown, then abc"
     assert "lost" not in told

@@ -15,31 +15,32 @@ import pytest
 
 from rrmctl.errors import UserError
 from rrmctl.store import load, planned
-from rrmctl.store.files import DamagedError, VersionError, try_lock
-from rrmctl.store.inventory import inventory
-from rrmctl.store.layout import Layout
-from rrmctl.store.provenance import collect, made_with
+from rrmctl.store.curve import CurveWriter
+from rrmctl.store.files import DamagedError, VersionError
+from rrmctl.store.layout import Layout, find_run
+from rrmctl.store.locks import try_lock
+from rrmctl.store.provenance import collect, read_config, read_provenance, record_config
 from rrmctl.store.provenance import record as record_provenance
-from rrmctl.store.reader import find_run, find_sweeps, log_tail, read_config, run_status
 from rrmctl.store.schema import LABELS, MEASURED
+from rrmctl.store.snapshot import Snapshot
 from rrmctl.store.status import (
     ErrorKind,
     RunError,
     RunState,
     Status,
+    log_tail,
     read_status,
-    record_config,
     record_failure,
+    run_status,
     write_status,
 )
-from rrmctl.store.sweeps import JobRecord, SweepRecord, read_sweeps, readable_sweeps, record_sweep
+from rrmctl.store.sweeps import Job, SweepRecord, find_sweeps, read_sweeps, readable_sweeps, record_sweep
 from rrmctl.store.trials import Trial, begin_trial, read_trial
-from rrmctl.store.writer import CurveWriter
 from tests.rrmctl.running.standin import prepare, row
 
 
-def job(seed: int, method: str = "pebble") -> JobRecord:
-    return JobRecord(
+def job(seed: int, method: str = "pebble") -> Job:
+    return Job(
         id=hashlib.sha256(f"{method}{seed}".encode()).hexdigest()[:16],
         cell=method,
         task="t",
@@ -51,7 +52,7 @@ def job(seed: int, method: str = "pebble") -> JobRecord:
     )
 
 
-def sweep(*jobs: JobRecord, variant: str = "smoke") -> SweepRecord:
+def sweep(*jobs: Job, variant: str = "smoke") -> SweepRecord:
     return SweepRecord(experiment="e", variant=variant, profile="smoke", overrides={"steps": 5}, jobs=jobs)
 
 
@@ -154,7 +155,7 @@ def test_another_version_is_not_damage(tmp_path: Path) -> None:
     record_provenance(folder, collect(read_config(folder), {}, [], 1))
     looks = {
         folder.status: [lambda: read_status(folder), lambda: run_status(folder), lambda: load(tmp_path)],
-        folder.provenance: [lambda: made_with(folder), lambda: inventory(tmp_path)],
+        folder.provenance: [lambda: read_provenance(folder), lambda: Snapshot(tmp_path).runs()],
         layout.sweep("stand-in", "smoke"): [lambda: readable_sweeps(layout), lambda: load(tmp_path)],
         layout.trial("stand-in", "smoke"): [lambda: read_trial(layout, "stand-in", "smoke")],
     }
@@ -175,17 +176,17 @@ STATUS = Status(state=RunState.DONE, step=5, wall_s=1.0, error=RunError(kind=Err
     [
         ({"step": "x"}, "step is 'x', not a whole number"),
         ({"rows": True}, "rows is True, not a whole number"),
-        ({"wall_s": "y"}, "wall_s is 'y', not a number or null"),
-        ({"error": [1]}, r"error is \[1\], not an object or null"),
+        ({"wall_s": "y"}, "wall_s is 'y', not a number"),
+        ({"error": [1]}, r"error is \[1\], not an object"),
         ({"error": {"kind": "killed"}}, "lacks error.type, error.message"),
-        ({"state": None}, "state is None, not text"),
+        ({"state": None}, "state is None: Input should be 'queued', 'running'"),
     ],
 )
 def test_a_status_with_a_field_of_another_kind_is_damaged(tmp_path: Path, change: object, told: str) -> None:
     """File and field are named, before anybody reckons with it."""
     folder = Layout(tmp_path).run("r")
     folder.path.mkdir(parents=True)
-    folder.status.write_text(json.dumps(STATUS.to_json() | change))
+    folder.status.write_text(json.dumps({"schema_version": 1, **dataclasses.asdict(STATUS)} | change))
     with pytest.raises(DamagedError, match=rf"r/status\.json is damaged: .*{told}"):
         read_status(folder)
     assert run_status(folder).state is RunState.UNREADABLE

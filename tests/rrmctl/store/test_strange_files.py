@@ -8,8 +8,8 @@ import pytest
 from typer.testing import CliRunner
 
 from rrmctl.cli.app import app
-from rrmctl.store.inventory import inventory
 from rrmctl.store.layout import Layout
+from rrmctl.store.snapshot import Snapshot
 from rrmctl.store.status import ErrorKind, RunError, RunState, Status, write_status
 from tests.rrmctl.reports.frames import Sweep
 
@@ -52,7 +52,7 @@ def whole(tmp_path_factory):
     """Two runs, of which one says that it is under way."""
     root = tmp_path_factory.mktemp("whole")
     Sweep(curves={"pebble": [[0.0, 0.5]] * 2}).write(root)
-    write_status(Layout(root).run(inventory(root)[0].id), Status(state=RunState.RUNNING, step=100, steps=200))
+    write_status(Layout(root).run(Snapshot(root).runs()[0].id), Status(state=RunState.RUNNING, step=100, steps=200))
     return root
 
 
@@ -70,7 +70,7 @@ def call(*arguments):
 @pytest.mark.parametrize("file", FILES)
 def test_nothing_is_waited_for_and_nothing_breaks(root, file, odd):
     """Pipes, folders, circles of links, devices, odd nesting, numbers and characters: exit code 0 or 2."""
-    run = inventory(root)[0].id
+    run = Snapshot(root).runs()[0].id
     path = Layout(root).sweep_files("main-results")[0] if file == "sweep" else Layout(root).run(run).path / file
     if odd in ("pipe", "folder", "circle", "device"):
         path.unlink(missing_ok=True)
@@ -107,7 +107,7 @@ EVIL = "\x1b[2J\x1b]0;owned\x07\x9b31m\u202e"
 @pytest.mark.parametrize("terminal", [False, True])
 def test_what_a_store_says_is_text_to_the_terminal(root, terminal):
     """Escape sequences in names, errors and logs are spelled out by every command; colours are the program's own."""
-    sweep, run = Layout(root).sweep_files("main-results")[0], inventory(root)[0].id
+    sweep, run = Layout(root).sweep_files("main-results")[0], Snapshot(root).runs()[0].id
     record = json.loads(sweep.read_text())
     for job in record["jobs"]:
         job.update(dict.fromkeys(("task", "method", "teacher", "feedback"), EVIL))

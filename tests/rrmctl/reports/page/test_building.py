@@ -25,9 +25,9 @@ from rrmctl.reports.report import Grid, Report
 from rrmctl.reports.select import read_sections
 from rrmctl.reports.statistics import Statistics
 from rrmctl.reports.tables import kinds
-from rrmctl.store.files import write_json
-from rrmctl.store.inventory import inventory
 from rrmctl.store.layout import Layout
+from rrmctl.store.records import write_json
+from rrmctl.store.snapshot import Snapshot
 from rrmctl.store.status import ErrorKind, RunError, RunState, Status, write_status
 from tests.rrmctl.reports.frames import Sweep
 
@@ -44,7 +44,7 @@ def results(tmp_path):
     sweep = Sweep(states=states, lengths={(TASK, "pebble", 1): 2, (TASK, "pebble", 4): 0})
     root = tmp_path / "results"
     sweep.write(root)
-    (failed,) = (run for run in inventory(root) if run.plan["state"] == "failed")
+    (failed,) = (run for run in Snapshot(root).runs() if run.plan["state"] == "failed")
     error = RunError(kind=ErrorKind.CRASHED, type="ValueError", message=NASTY)
     write_status(Layout(root).run(failed.id), Status(state=RunState.FAILED, step=200, steps=400, error=error))
     return root
@@ -58,7 +58,7 @@ def test_everything_of_the_reference_results_is_there():
     """Every experiment, table and figure that the data supports, every run; all of it below ten megabytes."""
     text = build(REFERENCE, settings=QUICK)
     assert len(text) < 10_000_000
-    runs = inventory(REFERENCE)
+    runs = Snapshot(REFERENCE).runs()
     assert all(run.id in text for run in runs)
     for section in read_sections(REFERENCE):
         name = identifier(section.experiment, section.variant)
@@ -159,7 +159,7 @@ def test_a_place_that_takes_no_write_is_named(results, tmp_path):
 
 def test_a_damaged_run_is_named(results):
     """A curve that cannot be read stops the page with the file's name."""
-    (run, *_) = (run for run in inventory(results) if run.plan["state"] == "done")
+    (run, *_) = (run for run in Snapshot(results).runs() if run.plan["state"] == "done")
     Layout(results).run(run.id).curve.write_bytes(b"torn")
     with pytest.raises(UserError, match=run.id):
         build(results, settings=QUICK)
@@ -167,7 +167,7 @@ def test_a_damaged_run_is_named(results):
 
 def test_what_was_spent_adds_up(results):
     """Steps, labels and time are those of the last evaluations; a run under two labels is counted once in the total."""
-    runs = inventory(results)
+    runs = Snapshot(results).runs()
     table = run_facts.spending(runs)
     assert list(table["method"]) == ["oracle", "pebble", "rrm-proxy"]
     assert list(table["runs"]) == [5, 5, 5]
@@ -177,11 +177,11 @@ def test_what_was_spent_adds_up(results):
 
 def test_settings_are_common_or_differ(results):
     """A setting that all share stands once; one that differs stands with each group of runs."""
-    runs = inventory(results)
+    runs = Snapshot(results).runs()
     for run in runs:
         folder = Layout(results).run(run.id)
         write_json(folder.config, run.config | {"agent": {"batch": 64 if run.plan["method"] == "oracle" else 128}})
-    runs = inventory(results)
+    runs = Snapshot(results).runs()
     common = dict(run_facts.common_settings(runs).itertuples(index=False))
     assert common["evaluation.success"] == '"any"'
     assert "agent.batch" not in common
@@ -192,7 +192,7 @@ def test_settings_are_common_or_differ(results):
 
 def test_machines_and_versions_are_told_apart():
     """Runs that were started with the same are one column, and every run is counted."""
-    runs = [run for run in inventory(REFERENCE) if run.plan["experiment"] == "precision"]
+    runs = [run for run in Snapshot(REFERENCE).runs() if run.plan["experiment"] == "precision"]
     facts = run_facts.makings(runs).set_index("fact")
     assert sum(map(int, facts.loc["runs"])) == len({run.id for run in runs})
     assert set(facts.loc["precision"]) == {"float32", "bfloat16"}

@@ -8,8 +8,8 @@ from typer.testing import CliRunner
 from rrmctl.cli.app import app
 from rrmctl.reports.page.assembly import build
 from rrmctl.reports.statistics import Statistics
-from rrmctl.store.inventory import inventory
 from rrmctl.store.layout import Layout
+from rrmctl.store.snapshot import Snapshot
 from rrmctl.store.status import ErrorKind, RunError, RunState, Status, write_status
 from tests.browser import browser
 from tests.rrmctl.reports.frames import RISING, Sweep
@@ -32,7 +32,7 @@ def path(tmp_path_factory):
         curves=curves, tasks=(TASK, "walker-walk"), states=states,
         lengths={(TASK, "pebble", 1): 2, (TASK, "pebble", 4): 0}, overrides={"note": NASTY},
     ).write(folder)  # fmt: skip
-    for run in inventory(folder):
+    for run in Snapshot(folder).runs():
         if run.plan["state"] == "failed":
             error = RunError(kind=ErrorKind.CRASHED, type="ValueError", message=NASTY)
             write_status(Layout(folder).run(run.id), Status(state=RunState.FAILED, step=200, steps=400, error=error))

@@ -1,4 +1,4 @@
-"""Demonstrations for people: collected from a finished run or from a scripted policy, and looked at."""
+"""Demonstrations for people, played by a finished run or by a scripted policy."""
 
 from __future__ import annotations
 
@@ -7,15 +7,14 @@ from typing import TYPE_CHECKING, Any
 
 from rrmctl.errors import UserError
 from rrmctl.running.config_file import load_config
-from rrmctl.store.reader import run_status
-from rrmctl.store.status import RunState
+from rrmctl.store.status import RunState, run_status
 
 if TYPE_CHECKING:
     from rrm.imitation.demos import Demonstrations
     from rrmctl.store.layout import RunFolder
 
 
-def of_run(folder: RunFolder, episodes: int, seed: int, least_success: float) -> Demonstrations:
+def play_run(folder: RunFolder, episodes: int, seed: int, least_success: float) -> Demonstrations:
     """Episodes of a finished run's deterministic policy.
 
     Raises:
@@ -32,34 +31,28 @@ def of_run(folder: RunFolder, episodes: int, seed: int, least_success: float) ->
     if not isinstance(config, RunConfig):
         raise UserError(f"run {folder.id} trains no policy: it is of kind {config.kind!r}", "name an oracle's run")
     source = {"source": "expert", "expert": config.identity, "expert_steps": config.steps, "method": config.method}
-    policy = expert_policy(config, folder.model)
-    return _played(
-        config.task, policy, episodes, seed=seed, least_success=least_success, source=source, horizon=config.horizon
-    )
+    options = {"seed": seed, "least_success": least_success, "source": source, "horizon": config.horizon}
+    return _play(config.task, expert_policy(config, folder.model), episodes, **options)
 
 
-def of_script(task: str, episodes: int, seed: int, least_success: float) -> Demonstrations:
-    """Episodes of the policy that Meta-World ships for a task.
-
-    Raises:
-        RrmError: there is no such task or policy, or it succeeds too rarely.
-    """
+def play_script(task: str, episodes: int, seed: int, least_success: float) -> Demonstrations:
+    """Episodes of the policy that Meta-World ships. Raises RrmError where there is none, or it succeeds too rarely."""
     from rrm.envs.metaworld import scripted_policy
 
     source = {"source": "scripted"}
-    return _played(task, scripted_policy(task), episodes, seed=seed, least_success=least_success, source=source)
+    return _play(task, scripted_policy(task), episodes, seed=seed, least_success=least_success, source=source)
 
 
-def read(path: Path) -> dict[str, Any]:
-    """What is known of the demonstrations in a file. Raises `RrmError` where it holds none."""
-    from rrm.imitation.demos import Demonstrations
-
-    return Demonstrations.load(path).summary()
-
-
-def _played(task: str, policy: Any, episodes: int, **options: Any) -> Demonstrations:
+def _play(task: str, policy: Any, episodes: int, **options: Any) -> Demonstrations:
     from rrm.training.demonstrate import demonstrate
 
     demos = demonstrate(task, policy, episodes, **options)
     assert demos is not None  # nobody asked it to stop
     return demos
+
+
+def summary(path: Path) -> dict[str, Any]:
+    """What is known of the demonstrations in a file. Raises RrmError where it holds none."""
+    from rrm.imitation.demos import Demonstrations
+
+    return Demonstrations.load(path).summary()
