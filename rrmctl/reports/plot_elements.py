@@ -15,16 +15,14 @@ from rrmctl.reports.figure_layout import Axes, Slot
 from rrmctl.reports.iqm_curves import ALL_TASKS, across_tasks
 from rrmctl.reports.series import Panel, Section, Series
 from rrmctl.reports.styles import Looks, Style
-from rrmctl.stats import CommonStep, Floats, IqmKind, Steps, common_step, iqm, quartiles
+from rrmctl.stats import CommonStep, Floats, IqmKind, Steps, iqm, quartiles
 
 UNITS = {"success": "Success rate (%)", "return": "Return (true reward)"}
-
-_MARKERS_A_LINE = 8
 
 
 def line(axes: Axes, steps: Steps | Floats, values: Floats, look: Style, position: int = 0, **other: Any) -> None:
     """A line with some eight markers; those of lines at different positions do not lie on one another."""
-    every = math.ceil(steps.size / _MARKERS_A_LINE)
+    every = math.ceil(steps.size / 8)
     # A line without markers has nothing to show at a single step.
     marker = look.marker or ("." if steps.size == 1 else "")
     arguments: dict[str, Any] = look._asdict() | {"marker": marker, "markevery": (position % every, every)}
@@ -131,8 +129,3 @@ def readings(section: Section, rule: Callable[[Panel], CommonStep]) -> list[Fina
         strata = {method: [task[method][0] for task in tasks] for method in tasks[0] if all(method in t for t in tasks)}
         pooled.append(FinalScores(name, "success", strata, tuple(group), None))
     return [*single.values(), *pooled]
-
-
-def last_step(panel: Panel) -> CommonStep:
-    """The last step that is common to the methods of a panel."""
-    return common_step(panel.steps(), {})

@@ -9,23 +9,16 @@ exactly.
 from __future__ import annotations
 
 import json
-import tomllib
 from pathlib import Path
 
 import rrm
-from rrmctl.export.bundle import RUN_COLUMNS, Bundle, Field, described
+from rrmctl.export.bundle import OTHER_RUN_COLUMNS, RUN_COLUMNS, Bundle, described
 from rrmctl.store.files import write_bytes
 from rrmctl.store.schema import SCHEMA_VERSION
 from rrmctl.store.snapshot import table
 
 #: Raised by one when a column of the files is added, removed, or changes its meaning.
 CSV_VERSION = 1
-
-#: Columns of runs.csv that evaluations.csv lacks, or uses for something else.
-OTHER_RUN_COLUMNS = {
-    name: Field(column["type"], column.get("unit", ""), column["meaning"])
-    for name, column in tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8")).items()
-}
 
 
 def write(bundle: Bundle, folder: Path) -> list[Path]:

@@ -5,8 +5,7 @@ Drawn of runs that left `gradients.parquet`: of the method `finetune` and those 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Mapping
 
 import numpy as np
 import pandas as pd
@@ -55,43 +54,37 @@ def draw(section: Section, settings: Statistics = DEFAULTS, gradients: pd.DataFr
             raise UserError(f"{where}: no gradients beside the curves to draw", "hand them over, as `gradients`")
         gradients = load_gradients(section.source.root, every)
     panels, looks, normed = section.panels(), section.looks(), set(gradients["run"])
-    shown = {
-        panel_name(panel, panels): [_only(series, normed) for series in panel.present() if normed & {*series.runs}]
-        for panel in panels
-    }
     notes = [
         f"Median over the gradient steps in each {_BINS}th of the run, then the interquartile mean over seeds "
         f"({settings.kind}). Band: 25 to 75 % of the seeds. Grey: where the loss changes.",
         f"Norms of {len(normed.intersection(every))} runs.",
     ]
     for series in section.series:
-        runs = zip(series.seeds, series.runs, strict=True)
-        lacking = [f"{run} (seed {seed})" for seed, run in runs if run not in normed]
+        seeded = zip(series.seeds, series.runs, strict=True)
+        lacking = [f"{run} (seed {seed})" for seed, run in seeded if run not in normed]
         if 0 < len(lacking) < series.n:  # others of its series left norms
             notes.append(f"No norms of {series.label}: {', '.join(lacking)}.")
-    slots = [_slot(gradients, name, series, looks, settings.kind) for name, series in shown.items() if series]
+    slots = []
+    for panel in panels:
+        left = {series: [run for run in series.runs if run in normed] for series in panel.present()}
+        if shown := {series: runs for series, runs in left.items() if runs}:
+            slots.append(_slot(gradients, panel_name(panel, panels), shown, looks, settings.kind))
     return sheet(section, settings, slots, notes=notes, lacking="no norms of gradients")
 
 
-def _only(series: Series, normed: set[str]) -> Series:
-    """The series of those of its runs that left norms."""
-    left = [at for at, run in enumerate(series.runs) if run in normed]
-    seeds, runs = tuple(series.seeds[at] for at in left), tuple(series.runs[at] for at in left)
-    return replace(series, values=series.values[left], seeds=seeds, runs=runs)
-
-
-def _slot(gradients: pd.DataFrame, name: str, shown: Sequence[Series], looks: Looks, kind: IqmKind) -> Slot:
+def _slot(gradients: pd.DataFrame, name: str, shown: Mapping[Series, list[str]], looks: Looks, kind: IqmKind) -> Slot:
+    """A panel of series, with those of their runs that left norms."""
     last = max(int(series.steps[-1]) for series in shown)
     length = last / _BINS
 
     def fill(axes: Axes) -> None:
-        for position, series in enumerate(shown):
-            own = gradients[gradients["run"].isin(series.runs)]
+        for position, (series, runs) in enumerate(shown.items()):
+            own = gradients[gradients["run"].isin(runs)]
             tuned = own["loss"] == _FINE_TUNING
             bins = (own["step"] // length).rename("bin")
             for _, phase in own.groupby(tuned):  # medians of each run where all have one
                 medians = phase.groupby([phase["run"], bins])["gradient_norm"].median().unstack("bin")
-                norms = medians.reindex(list(series.runs)).dropna(axis="columns")
+                norms = medians.reindex(runs).dropna(axis="columns")
                 if norms.size:
                     middles = ((norms.columns.to_numpy(dtype=np.float64) + 0.5) * length).astype(np.int64)
                     curve(axes, middles, norms.to_numpy(), looks[series.label.method], kind, position=position)
@@ -101,5 +94,5 @@ def _slot(gradients: pd.DataFrame, name: str, shown: Sequence[Series], looks: Lo
         axes.set_yscale("log", nonpositive="clip")
         step_axis(axes, last)
 
-    runs = [(series.label.method, series.n) for series in shown]
-    return Slot(name, "Norm of the reward's gradient", fill, runs=runs)
+    counts = [(series.label.method, len(runs)) for series, runs in shown.items()]
+    return Slot(name, "Norm of the reward's gradient", fill, runs=counts)

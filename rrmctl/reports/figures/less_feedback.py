@@ -105,18 +105,14 @@ def _compared(schedules: set[Schedule]) -> Iterator[tuple[str, tuple[Schedule, .
 
 def _slot(group: Sequence[Sweep], several: bool, looks: Looks, settings: Statistics) -> Slot:
     """A panel: one task, or the mean of several; `several` teachers are named."""
-    first, scale = group[0], 100 if group[0].score == "success" else 1
+    first, schedules, scale = group[0], group[0].schedules, 100 if group[0].score == "success" else 1
     methods = list(dict.fromkeys(method for method, _ in first.values))
 
     def fill(axes: Axes) -> None:
         for row, method in enumerate(methods):
-            at = [
-                place
-                for place, schedule in enumerate(first.schedules)
-                if all((method, schedule) in sweep.values for sweep in group)
-            ]
-            x = np.array(at) + 0.12 * (row - (len(methods) - 1) / 2)
-            tasks = [[sweep.values[method, first.schedules[place]] for sweep in group] for place in at]
+            held = [schedule for schedule in schedules if all((method, schedule) in sweep.values for sweep in group)]
+            x = np.array(list(map(schedules.index, held))) + 0.12 * (row - (len(methods) - 1) / 2)
+            tasks = [[sweep.values[method, schedule] for sweep in group] for schedule in held]
             means = [score(values, settings).estimate() for values in tasks]
             y, low, high = (
                 [scale * float(getattr(mean, end)) for mean in means] for end in ("estimate", "low", "high")
@@ -127,16 +123,16 @@ def _slot(group: Sequence[Sweep], several: bool, looks: Looks, settings: Statist
             axes.vlines(x, low, high, color=looks[method].color, linewidth=0.9)
             hollow = {"linestyle": "none", "markerfacecolor": "white", "markersize": 3, "markeredgewidth": 0.6}
             axes.plot(x, last, **look | hollow)
-        ticks = [short_steps(getattr(schedule, first.field)) for schedule in first.schedules]
+        ticks = [short_steps(getattr(schedule, first.field)) for schedule in schedules]
         axes.set_xticks(range(len(ticks)), ticks)
-        axes.set_xlim(-0.4, len(first.schedules) - 0.6)
+        axes.set_xlim(-0.4, len(schedules) - 0.6)
         score_axis(axes, first.score)
 
     name = (first.task if len(group) == 1 else ALL_TASKS) + (f", teacher {first.teacher}" if several else "")
     if first.field == "batch":
-        across = f"Queries a session,\nevery {short_steps(first.schedules[0].every)} steps"
+        across = f"Queries a session,\nevery {short_steps(schedules[0].every)} steps"
     else:
-        across = f"Steps between\nsessions of {first.schedules[0].batch}"
+        across = f"Steps between\nsessions of {schedules[0].batch}"
     runs = [(method, len(values)) for sweep in group for (method, _), values in sweep.values.items()]
     return Slot(name, UNITS[first.score], fill, across, runs)
 

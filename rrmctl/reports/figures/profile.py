@@ -9,11 +9,11 @@ from __future__ import annotations
 import numpy as np
 
 from rrmctl.reports.figure_layout import Axes, Figure, Slot, from_frames, sheet
-from rrmctl.reports.plot_elements import UNITS, FinalScores, last_step, line, readings, score_axis
+from rrmctl.reports.plot_elements import UNITS, FinalScores, line, readings, score_axis
 from rrmctl.reports.series import Section
 from rrmctl.reports.statistics import BOOTSTRAP_SEED, DEFAULTS, LEVEL, SURE, Statistics
 from rrmctl.reports.styles import Looks
-from rrmctl.stats import MIN_RUNS, performance_profile
+from rrmctl.stats import MIN_RUNS, common_step, performance_profile
 
 #: Scores at which the shares are taken.
 _POINTS = 201
@@ -36,7 +36,7 @@ def draw(section: Section, settings: Statistics = DEFAULTS) -> Figure:
 
 def _readings(section: Section) -> list[FinalScores]:
     """Readings with two methods that have runs enough; tasks stand for themselves where pooling would lose a method."""
-    cells = readings(section, last_step)
+    cells = readings(section, lambda panel: common_step(panel.steps(), {}))  # the last step
     pools = [
         cell
         for cell in cells
