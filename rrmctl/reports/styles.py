@@ -57,7 +57,7 @@ _LINES: Mapping[str, Dashes] = _TABLE["lines"]
 def styles(methods: Iterable[str]) -> Looks:
     """The looks of methods that are drawn together; their order does not matter."""
     named = {method: _parts(method) for method in methods}
-    looks = {method: _known(*name) for method, name in named.items()}
+    looks = {method: _tabled(*name) for method, name in named.items()}
     # A new name takes the place that it suggests if that is free, or the next one; with every family the same.
     new = {method: (bool(named[method][0]), *named[method][1:]) for method, look in looks.items() if not look}
     places: dict[tuple[bool, str, str], int] = {}
@@ -88,14 +88,14 @@ def _parts(method: str) -> tuple[str, str, str]:
     return family, base, rest.removeprefix(base).removeprefix("-")
 
 
-def _known(family: str, base: str, suffix: str) -> Style | None:
+def _tabled(family: str, base: str, suffix: str) -> Style | None:
     """The look that the tables tell, where they tell it from every other."""
     if base not in _TABLE["priors" if family else "learners"]:
         return None
     (colour, marker), line = _HUES[base], _LINES[family]
     if suffix:
-        tabled = suffix == "bfloat16" or (base == "finetune" and suffix in _TABLE["variants"])
-        if not tabled or family not in ("", "rrm"):
+        named = suffix == "bfloat16" or (base == "finetune" and suffix in _TABLE["variants"])
+        if not named or family not in ("", "rrm"):
             return None
         white, own_marker, line = _TABLE["variants"][suffix]
         # Dots remain the oracle's; a marker then tells its variants from itself.
