@@ -38,16 +38,14 @@ def run_commands(
     """The `rrmctl run`s that ask for these runs and no other: a command for each task and set of seeds.
 
     Args:
-        overrides: of the variant, by dotted name.
         runs: task, method and seed of each.
         asked: commands that asked for such runs; where they looked for this experiment and these methods is said again.
         options: further ones that take no value.
-        results: as in `rrmctl`.
     """
-    seeds: defaultdict[tuple[str, str], set[int]] = defaultdict(set)
+    seeds = defaultdict[tuple[str, str], set[int]](set)
     for task, method, seed in runs:
         seeds[task, method].add(seed)
-    alike: defaultdict[tuple[str, tuple[int, ...]], list[str]] = defaultdict(list)
+    alike = defaultdict[tuple[str, tuple[int, ...]], list[str]](list)
     for (task, method), numbers in seeds.items():
         alike[task, tuple(sorted(numbers))].append(method)
     # Another experiment may have the run as well: only commands that name this one say where it comes from.

@@ -58,8 +58,7 @@ def examine(results: Path, experiments: Path | None) -> Iterator[Check]:
     problem = _try("import mujoco, metaworld, dm_control.suite, gymnasium, torch")  # installed need not mean it loads
     state = problem or "mujoco, Meta-World, DM-Control and torch load"
     yield _needed("simulators", problem is None, state, "reinstall: pip install --force-reinstall the package it names")
-    cores = f"{usable_cores()} usable of {os.cpu_count()} ({cpu_model()}); one job keeps one busy"
-    yield Check("cores", "ok", cores)
+    yield Check("cores", "ok", f"{usable_cores()} usable of {os.cpu_count()} ({cpu_model()}); one job keeps one busy")
     yield Check("threads", "ok", "one per worker, whatever is set in this shell")
     yield precision()
     yield from folders(results, experiments)
@@ -86,15 +85,15 @@ def package(name: str, specifier: str, *, needed: bool) -> Check:
     """A package must be installed, at a version that `specifier` accepts; a note where nothing needs it."""
     from packaging.specifiers import SpecifierSet
 
-    state: Literal["note", "missing"] = "missing" if needed else "note"
-    fix = shlex.join([sys.executable, "-m", "pip", "install", f"{name}{specifier}"])
     try:
         version = metadata.version(name)
+        if SpecifierSet(specifier).contains(version, prereleases=True):
+            return Check(name, "ok", version)
+        found = f"{version}, but {specifier} is needed"
     except metadata.PackageNotFoundError:
-        return Check(name, state, "not installed" if needed else "not installed; simulated robots alone need it", fix)
-    if not SpecifierSet(specifier).contains(version, prereleases=True):
-        return Check(name, state, f"{version}, but {specifier} is needed", fix)
-    return Check(name, "ok", version)
+        found = "not installed" if needed else "not installed; simulated robots alone need it"
+    fix = shlex.join([sys.executable, "-m", "pip", "install", f"{name}{specifier}"])
+    return Check(name, "missing" if needed else "note", found, fix)
 
 
 def precision(cpuinfo: Path = Path("/proc/cpuinfo")) -> Check:
@@ -142,11 +141,9 @@ def rendering(backends: tuple[str, ...] = ("egl", "osmesa")) -> Check:
 
 def _try(code: str, **variables: str) -> str | None:
     """The last line of what a fresh Python says about `code`; None where it runs."""
-    command = [sys.executable, "-W", "ignore", "-c", code]
+    command, own = [sys.executable, "-W", "ignore", "-c", code], environment() | variables
     try:
-        done = subprocess.run(
-            command, env=environment() | variables, capture_output=True, text=True, timeout=120, check=False
-        )
+        done = subprocess.run(command, env=own, capture_output=True, text=True, timeout=120, check=False)
     except subprocess.TimeoutExpired:
         return "gave no answer within two minutes"
     if done.returncode == 0:

@@ -38,16 +38,14 @@ class RoomError(UserError):
 
 def room_error(error: BaseException) -> RoomError | None:
     """What an error says that comes of too little room; None for all other errors."""
-    number = error.errno if isinstance(error, OSError) else None
-    text = str(error).lower()
-    if number in (errno.EMFILE, errno.ENFILE):
-        return RoomError("open files")
-    if number == errno.EAGAIN or "can't start new thread" in text:
-        return RoomError("threads or processes")
+    number, text = getattr(error, "errno", None), str(error).lower()
     unmapped = "failed to map segment" in text or "cannot allocate memory" in text  # of a library that is loaded
-    if isinstance(error, MemoryError) or number == errno.ENOMEM or unmapped:
-        return RoomError("pages of memory")
-    return None
+    lacking = {
+        "open files": number in (errno.EMFILE, errno.ENFILE),
+        "threads or processes": number == errno.EAGAIN or "can't start new thread" in text,
+        "pages of memory": isinstance(error, MemoryError) or number == errno.ENOMEM or unmapped,
+    }
+    return next((RoomError(what) for what, lacks in lacking.items() if lacks), None)
 
 
 def check_known(name: str, known: Collection[str], problem: str, there: str = "known") -> None:

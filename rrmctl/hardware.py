@@ -12,9 +12,8 @@ from pathlib import Path
 def cpu_model() -> str:
     """The processor's name as the system tells it, "unknown" where it does not."""
     info = Path("/proc/cpuinfo")
-    named = (
-        re.search(r"^model name\s*:(.*)", info.read_text(errors="replace"), re.MULTILINE) if info.is_file() else None
-    )
+    text = info.read_text(errors="replace") if info.is_file() else ""
+    named = re.search(r"^model name\s*:(.*)", text, re.MULTILINE)
     return named[1].strip() if named else platform.processor() or "unknown"
 
 

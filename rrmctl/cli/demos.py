@@ -46,13 +46,12 @@ def collect(
     from rrmctl.store.files import storage_error
     from rrmctl.store.layout import find_run, open_results
 
-    if (run is None) == (scripted is None):
-        raise UserError("whose demonstrations?", "name a finished run with --run, or a task with --scripted")
-    if scripted is not None:
+    if run is not None and scripted is None:
+        played = experts.play_run(find_run(open_results(results), run), episodes, seed, least_success)
+    elif scripted is not None and run is None:
         played = experts.play_script(scripted, episodes, seed, least_success)
     else:
-        assert run is not None
-        played = experts.play_run(find_run(open_results(results), run), episodes, seed, least_success)
+        raise UserError("whose demonstrations?", "name a finished run with --run, or a task with --scripted")
     try:
         played.save(out)
     except OSError as error:

@@ -4,7 +4,11 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from functools import partial
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TaskID, TaskProgressColumn, TextColumn
+from rich.text import Text
 
 from rrmctl.cli.request import duration
 from rrmctl.running.scheduler import Outcome, Stage
@@ -12,22 +16,13 @@ from rrmctl.store.layout import Layout
 from rrmctl.store.status import ErrorKind, log_tail
 from rrmctl.store.sweeps import Job
 
-if TYPE_CHECKING:
-    from rich.console import Console
-    from rich.progress import TaskID
-
 #: Least time between two lines about the evaluations of one job, seconds.
 _EVERY_S = 10.0
+_OVER = (Stage.DONE, Stage.FAILED, Stage.BLOCKED)
 
 
 class Lines:
-    """Says every event worth keeping as one line on the console: started, evaluated, failed, done.
-
-    Args:
-        console: where to; usually standard error.
-        layout: where the logs are.
-        jobs: of this command.
-    """
+    """Says every event worth keeping as one line on the console: started, evaluated, failed, done."""
 
     def __init__(self, console: Console, layout: Layout, jobs: Sequence[Job]) -> None:
         self.console = console
@@ -52,7 +47,7 @@ class Lines:
         self.say(job, text, style="yellow")
 
     def ended(self, job: str, outcome: Outcome, phase: Stage) -> None:
-        if phase in (Stage.DONE, Stage.FAILED, Stage.BLOCKED):
+        if phase in _OVER:
             self.over += 1
         error, folder = outcome.error, self._layout.run(job)
         match outcome.ending:
@@ -85,9 +80,6 @@ class Lines:
         """Nothing moves."""
 
     def say(self, job: str, text: str, style: str | None = None) -> None:
-        """One line about a job."""
-        from rich.text import Text
-
         line = Text.assemble((time.strftime("%H:%M:%S "), "dim"), (self._jobs[job].label, "bold"), ": ")
         self.console.print(line.append(text, style), soft_wrap=True)
 
@@ -96,8 +88,6 @@ class Bars(Lines):
     """Lines, and below them a bar for each running job and one for all."""
 
     def __init__(self, console: Console, layout: Layout, jobs: Sequence[Job]) -> None:
-        from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn
-
         super().__init__(console, layout, jobs)
         self.progress = Progress(
             TextColumn("{task.description}", markup=False),
@@ -111,15 +101,15 @@ class Bars(Lines):
             transient=True,
         )
         self._bars: dict[str, TaskID] = {}
-        self._all = self.progress.add_task("", total=self.total, rate="", score="", left="")
+        self._add = partial(self.progress.add_task, rate="", score="", left="")
+        self._all = self._add("", total=self.total)
         self._steps_done = 0  # of finished jobs
         self._rates: dict[str, float] = {}
 
     def started(self, job: str, attempt: int) -> None:
         if attempt > 1:
             super().started(job, attempt)
-        label, steps = self._jobs[job].label, self._jobs[job].steps
-        self._bars[job] = self.progress.add_task(label, total=steps, rate="", score="", left="")
+        self._bars[job] = self._add(self._jobs[job].label, total=self._jobs[job].steps)
 
     def beat(self, job: str, step: int, steps_per_s: float | None) -> None:
         if steps_per_s:
@@ -137,7 +127,7 @@ class Bars(Lines):
         if job in self._bars:
             self.progress.remove_task(self._bars.pop(job))
         self._rates.pop(job, None)
-        if phase in (Stage.DONE, Stage.FAILED, Stage.BLOCKED):
+        if phase in _OVER:
             self._steps_done += self._jobs[job].steps
 
     def tick(self) -> None:
@@ -146,8 +136,7 @@ class Bars(Lines):
             running = sum(task.completed for task in self.progress.tasks if task.id != self._all)
             steps = sum(job.steps for job in self._jobs.values()) - self._steps_done - running
             left = duration(steps / speed / 3600)
-        counts = f"{self.over} of {self.total} runs"
-        self.progress.update(self._all, description=counts, completed=self.over, left=left)
+        self.progress.update(self._all, description=f"{self.over} of {self.total} runs", completed=self.over, left=left)
         self.progress.refresh()
 
     def _update(self, job: str, **fields: object) -> None:

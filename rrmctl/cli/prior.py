@@ -84,7 +84,13 @@ def add(
     from rrmctl.planning.experiments import OWN
 
     spec = task_of(task)
-    text = make_prompt(spec, skeleton=True) if prompt_file is None else _read(prompt_file)
+    try:
+        text = read_bounded(prompt_file, _LARGEST_PROMPT).decode() if prompt_file else make_prompt(spec, skeleton=True)
+    except OSError as error:
+        raise UserError(f"cannot read {prompt_file}: {error.strerror}") from error
+    except UnicodeDecodeError as error:
+        why = f"not UTF-8 text: {error.reason} at byte {error.start}"
+        raise UserError(f"cannot read {prompt_file}: {why}") from None
     manifests = experiments or OWN
     folder = into or manifests.absolute().parent / "priors"
     target, record = freeze_best(spec, files, folder, model=model, date=f"{date:%Y-%m-%d}", prompt=text)
@@ -96,12 +102,3 @@ def add(
     option = shlex.join(["--prior", f"{name}:reward"])
     line = f"prior = {json.dumps(f'{os.path.relpath(target, manifests)}:reward')}"  # manifests name files from there
     tell(f"\nfrozen: {name}\nuse it: {option}, or {line} in the [method.NAME] of a manifest in {manifests}")
-
-
-def _read(path: Path) -> str:
-    try:
-        return read_bounded(path, _LARGEST_PROMPT).decode()
-    except OSError as error:
-        raise UserError(f"cannot read {path}: {error.strerror}") from error
-    except UnicodeDecodeError as error:
-        raise UserError(f"cannot read {path}: not UTF-8 text: {error.reason} at byte {error.start}") from None

@@ -20,9 +20,6 @@ STATES = ("done", "running", "interrupted", "waiting", "queued", "failed", "bloc
 #: States in which nothing is left to be done, or can be.
 OVER = ("done", "failed", "blocked")
 
-#: Speeds in environment steps per second, by task and method.
-Rates = Mapping[tuple[str, str], float]
-
 
 @dataclass(frozen=True)
 class Group:
@@ -31,7 +28,7 @@ class Group:
     name: str  #: what they have in common
     jobs: Sequence[Job]
     states: Mapping[str, Status]  #: of every job, by id
-    rates: Rates | None = None  #: speeds to reckon with; those of the group's own runs by default
+    rates: Mapping[tuple[str, str], float] | None = None  #: steps/s by task and method; default: the group's own
     heading: str = ""  #: what kind of thing `name` is
 
     @cached_property
@@ -50,16 +47,10 @@ class Group:
         from rrmctl.store.speeds import speeds
 
         rates = speeds(self.jobs, self.states) if self.rates is None else self.rates
-        total = 0.0
-        for job in self.jobs:
-            status = self.states[job.id]
-            if status.state in OVER:
-                continue
-            rate = rates.get((job.task, job.method))
-            if rate is None:
-                return None
-            total += (job.steps - status.step) / rate
-        return total
+        left = [(job, self.states[job.id]) for job in self.jobs if self.states[job.id].state not in OVER]
+        if any((job.task, job.method) not in rates for job, _ in left):
+            return None
+        return sum(((job.steps - status.step) / rates[job.task, job.method] for job, status in left), 0.0)
 
     @property
     def left(self) -> str:
@@ -70,7 +61,6 @@ class Group:
         return duration(hours / running) if running else f"{duration(hours)} of one core"
 
     def as_json(self) -> dict[str, Any]:
-        """For programs."""
         counts = {state: self.counts[state] for state in STATES}
         return {"name": self.name, "runs": len(self.jobs), **counts, "core_seconds_left": self.seconds_left}
 

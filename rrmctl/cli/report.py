@@ -6,7 +6,7 @@ import inspect
 from collections.abc import Callable
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
@@ -16,13 +16,9 @@ from rrmctl.cli.screen import tell
 from rrmctl.errors import UserError
 from rrmctl.export.formats import formats
 from rrmctl.reports.figures import figures
-from rrmctl.reports.plugins import choose
+from rrmctl.reports.plugins import Entry, choose
 from rrmctl.reports.tables import explained, kinds
 from rrmctl.terminal import spelled, stdout_console
-
-if TYPE_CHECKING:
-    from rrmctl.reports.plugins import Entry
-    from rrmctl.reports.series import Section
 
 report_app = typer.Typer(no_args_is_help=True, help="Tables from the store, with intervals and what is missing.")
 
@@ -185,6 +181,7 @@ def plot(
     allow_mixed: MixedOption = False,
 ) -> None:
     """Draw the figures that suit an experiment as PNG, PDF and SVG and print their paths."""
+    from rrmctl.planning.profiles import PAPER
     from rrmctl.reports.figure_layout import encode
     from rrmctl.reports.select import of_profile, read_sections
     from rrmctl.reports.statistics import Statistics
@@ -209,8 +206,11 @@ def plot(
                     raise
                 tell(f"note: {where}: the figure {figure} was not drawn: {error}", err=True)
                 continue
+            # The paper's own scale, the curves and a page's width need no mention.
+            said = ((section.variant, PAPER), (figure, "curves"), (width.value, Across.PAGE))
+            names = [part for part, unsaid in said if part != unsaid]
             for form in forms or Drawing:
-                path = (output or results / "figures") / f"{_figure_name(section, figure, width)}.{form}"
+                path = (output or results / "figures") / f"{'-'.join((section.experiment, *names))}.{form}"
                 _write(path, encode(drawn, form.value))
                 tell(str(path))
 
@@ -244,14 +244,6 @@ def export(
         tell(f"note: none of the {len(bundle.runs)} planned runs has an evaluation yet", err=True)
     written = form.load().write(bundle, output)
     tell(f"{output}: {len(bundle.begun)} of {len(bundle.runs)} planned runs, {len(written)} files")
-
-
-def _figure_name(section: Section, figure: str, width: Across) -> str:
-    """Experiment, variant, figure and width; the paper's own scale, the curves and a page's width need no mention."""
-    from rrmctl.planning.profiles import PAPER
-
-    parts = ((section.variant, PAPER), (figure, "curves"), (width.value, Across.PAGE))
-    return "-".join((section.experiment, *(part for part, unsaid in parts if part != unsaid)))
 
 
 def _write(path: Path, data: bytes) -> None:

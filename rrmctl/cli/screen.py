@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import atexit
 import contextlib
-import io
 import queue
 import threading
 import time
@@ -23,27 +22,18 @@ _WAITING = 10_000
 _LAST_S = 2.0
 
 
-class Screen(io.TextIOBase):
+class Screen:
     """A text stream whose writer neither waits nor fails: a thread passes on what it is given, as far as it can, to the
     descriptor of `stream` in its encoding.
     """
 
     def __init__(self, stream: TextIO) -> None:
         self._outlet = Outlet(stream.fileno())
-        self._encoding, self._errors = stream.encoding, stream.errors or "backslashreplace"
+        self.encoding, self.errors = stream.encoding, stream.errors or "backslashreplace"
+        self.fileno, self.isatty, self.flush = self._outlet.fileno, self._outlet.isatty, self._outlet.flush
         self._waiting: queue.Queue[str] = queue.Queue(_WAITING)
         threading.Thread(target=self._pass_on, daemon=True).start()
         atexit.register(self.drain)
-
-    @property
-    def encoding(self) -> str:  # type: ignore[override]
-        return self._encoding
-
-    def fileno(self) -> int:
-        return self._outlet.fileno()
-
-    def isatty(self) -> bool:
-        return self._outlet.isatty()
 
     def write(self, text: str) -> int:
         with contextlib.suppress(queue.Full):
@@ -59,7 +49,7 @@ class Screen(io.TextIOBase):
     def _pass_on(self) -> None:
         # Not through Python's own stream: its lock, held by a thread that waits, would keep the process from ending.
         while True:
-            data = self._waiting.get().encode(self._encoding, self._errors)
+            data = self._waiting.get().encode(self.encoding, self.errors)
             while data:
                 data = data[self._outlet.write(data) :]
             self._waiting.task_done()

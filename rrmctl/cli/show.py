@@ -33,20 +33,20 @@ def show(
     from rrmctl.store.layout import find_run, open_results
 
     layout = open_results(results)
-    known = _known(layout, find_run(layout, run), lines)
+    facts = _facts(layout, find_run(layout, run), lines)
     if as_json:
-        plain = json.loads(json.dumps(known), parse_constant=lambda _: None)  # what is no number is null
+        plain = json.loads(json.dumps(facts), parse_constant=lambda _: None)  # what is no number is null
         typer.echo(json.dumps(plain, indent=1, allow_nan=False))
         return
     console = stdout_console()
-    for title, text in _sections(known).items():
+    for title, text in _sections(facts).items():
         if text:
             console.print(title, style="bold")
             console.print(text, soft_wrap=True)
             console.print()
 
 
-def _known(layout: Layout, folder: RunFolder, lines: int) -> dict[str, Any]:
+def _facts(layout: Layout, folder: RunFolder, lines: int) -> dict[str, Any]:
     """What there is to know, as JSON has it; what could not be read is null, and why stands in `damage`."""
     from rrmctl.store.curve import read_curve
     from rrmctl.store.provenance import read_config, read_provenance
@@ -89,22 +89,22 @@ def _known(layout: Layout, folder: RunFolder, lines: int) -> dict[str, Any]:
     }
 
 
-def _sections(known: Mapping[str, Any]) -> dict[str, str]:
+def _sections(facts: Mapping[str, Any]) -> dict[str, str]:
     """The same for people, by title."""
     from rrmctl.store.status import RunError
 
-    now, damage, made_by = known["state"], known["damage"], known["provenance"]
-    uses = (f"{use['experiment']}: {use['label']}{', superseded' * use['superseded']}" for use in known["uses"])
+    now, damage, made_by = facts["state"], facts["damage"], facts["provenance"]
+    uses = (f"{use['experiment']}: {use['label']}{', superseded' * use['superseded']}" for use in facts["uses"])
     state = f"{now['state']}, attempt {now['attempt']}, step {now['step']:,}"
     state += f" of {now['steps']:,}" if now["steps"] else ""
     return {
-        f"run {known['run']}": "\n".join([known["path"], *uses]),
+        f"run {facts['run']}": "\n".join([facts["path"], *uses]),
         "state": f"{state}\n{RunError(**now['error']) if now['error'] else ''}".strip(),
-        "configuration": damage.get("config") or json.dumps(known["config"], indent=1),
+        "configuration": damage.get("config") or json.dumps(facts["config"], indent=1),
         "provenance": damage.get("provenance") or (json.dumps(made_by, indent=1) if made_by else ""),
-        "last evaluations": damage.get("evaluations") or "\n".join(map(_row, known["evaluations"])),
-        "end of the log": "\n".join(known["log"]),
-        "again, from nothing": "\n".join(known["again"]),
+        "last evaluations": damage.get("evaluations") or "\n".join(map(_row, facts["evaluations"])),
+        "end of the log": "\n".join(facts["log"]),
+        "again, from nothing": "\n".join(facts["again"]),
     }
 
 

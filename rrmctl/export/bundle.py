@@ -67,6 +67,9 @@ RUN_COLUMNS = _TOLD["run"]
 #: Every column that each evaluation has, in order.
 COLUMNS = RUN_COLUMNS | _TOLD["measured"]
 
+#: Columns of runs.csv that evaluations.csv lacks, or uses for something else.
+OTHER_RUN_COLUMNS = _TOLD["other"]
+
 
 def described(column: str) -> Field:
     """What a column of `Bundle.evaluations` holds; all figures are there, whether or not more is known of them."""

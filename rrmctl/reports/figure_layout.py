@@ -7,13 +7,14 @@ import io
 import itertools
 import math
 import re
+from collections import defaultdict
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import pandas as pd
 
 from rrmctl.errors import UserError
 from rrmctl.reports.captions import absent_notes, title
@@ -23,10 +24,16 @@ from rrmctl.reports.statistics import Statistics, Width
 from rrmctl.reports.styles import Style
 from rrmctl.stats import REPLICATES, IqmKind
 
-if TYPE_CHECKING:
-    import pandas as pd
+with contextlib.chdir(Path(__file__).parent):  # a matplotlibrc in the working directory need not even be one
+    from matplotlib import rcParams, style
     from matplotlib.axes import Axes
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
+    from matplotlib.font_manager import FontProperties
+    from matplotlib.lines import Line2D
+    from matplotlib.textpath import text_to_path
+
+__all__ = ["WIDEST", "Axes", "Figure", "Slot", "encode", "from_frames", "one_section", "sheet"]
 
 #: Points: those of captions, so that a figure is legible where it is put in at its own size; and those of notes.
 TEXT: dict[Width, tuple[float, float]] = {"column": (7.0, 5.5), "page": (8.0, 6.5)}
@@ -34,6 +41,8 @@ TEXT: dict[Width, tuple[float, float]] = {"column": (7.0, 5.5), "page": (8.0, 6.
 WIDEST: dict[Width, float] = {"column": 3.3, "page": 7.0}
 #: Of the width that text may take: on a screen's pixels letters are somewhat wider than on paper.
 _FULL = 0.94
+#: Our settings of matplotlib, whatever the user's are.
+_LOOK: Any = ["default", Path(__file__).with_suffix(".mplstyle")]
 #: Inches, of a panel above another.
 _ABOVE = 1.4
 
@@ -71,7 +80,10 @@ def sheet(
         height: of a panel, inches.
     """
     if not slots:
-        raise nothing(section, lacking)
+        raise UserError(
+            f"{section.experiment}, profile {section.profile}: {lacking} to draw",
+            f"`rrmctl run {section.experiment}` makes runs, `rrmctl plot {section.experiment}` draws what suits them",
+        )
     size, (letters, small) = settings.width, TEXT[settings.width]
     if size == "column":
         across = 1 if len(slots) <= 3 else 2
@@ -84,12 +96,13 @@ def sheet(
     heights = [tall for two in storeyed for tall in (*([_ABOVE] if two else []), height or usual)]
     width, contents = wide * across, [f"{section.contained} of {section.planned} planned runs."]
     contents += [*absent_notes(section, short=True), *section.problems]
-    legend = _methods(section, slots) if legend is None else legend
-    with look(size):
-        from matplotlib import rcParams
-        from matplotlib.figure import Figure
-        from matplotlib.lines import Line2D
-
+    if legend is None:  # methods with the number of runs behind their lines, the fewest and the most
+        counts, looks = defaultdict[str, list[int]](list), section.looks()
+        for method, runs in itertools.chain(*(slot.runs for slot in slots)):
+            counts[method].append(runs)
+        ends = {method: dict.fromkeys((min(runs), max(runs))) for method, runs in counts.items()}
+        legend = {f"{method} (n = {'–'.join(map(str, n))})": looks[method] for method, n in ends.items()}
+    with style.context([*_LOOK, {"font.size": letters, "axes.titlesize": letters + 0.5}]):
         beside = (rcParams["legend.handlelength"] + 0.8 + rcParams["legend.columnspacing"]) * letters / 72
         lengths = [_length(label, letters) + beside for label in legend]
         fit = (n for n in range(len(lengths), 1, -1) if sum(map(max, np.array_split(lengths, n))) <= width)
@@ -101,7 +114,7 @@ def sheet(
         strips: Any = figure.subfigures(2, 1, height_ratios=(above, below))
         upper, lower = strips
         upper.suptitle("\n".join(head), fontsize=letters + 1)
-        lines = [Line2D([], [], label=label, **style._asdict()) for label, style in legend.items()]
+        lines = [Line2D([], [], label=label, **entry._asdict()) for label, entry in legend.items()]
         lower.legend(handles=lines, loc="upper center", ncols=columns)
         lower.text(0.5, 0.03, "\n".join(foot), ha="center", va="bottom", fontsize=small, color="#444444")
         grid = iter(upper.subplots(len(heights), across, squeeze=False, gridspec_kw={"height_ratios": heights}))
@@ -110,42 +123,19 @@ def sheet(
             for axes in (*tops, *lower_axes[len(row) :]):
                 axes.set_visible(False)
             for place, slot in enumerate(row):
-                top = _fill(slot, lower_axes[place], tops[place] if slot.above else None, following[place : place + 1])
+                axes = top = lower_axes[place]
+                slot.fill(axes)
+                if slot.above or place >= len(following) or following[place].across != slot.across:
+                    axes.set_xlabel(slot.across)
+                if slot.above:
+                    top = tops[place]
+                    top.set_visible(True)
+                    slot.above(top)
                 if place == 0 or row[place - 1].unit != slot.unit:
                     top.set_ylabel(slot.unit)
                 named = (wrapped(line, letters + 0.5, wide - 0.3) for line in slot.title.splitlines())
                 top.set_title("\n".join(itertools.chain(*named)))
     return figure
-
-
-def _fill(slot: Slot, axes: Axes, top: Axes | None, under: Sequence[Slot]) -> Axes:
-    """Fill a panel, and the one on top of it, if any; the uppermost."""
-    slot.fill(axes)
-    if slot.above or not under or under[0].across != slot.across:
-        axes.set_xlabel(slot.across)
-    if slot.above is None or top is None:
-        return axes
-    top.set_visible(True)
-    slot.above(top)
-    return top
-
-
-def _methods(section: Section, slots: Iterable[Slot]) -> dict[str, Style]:
-    """The legend: methods with the number of runs behind their lines, the fewest and the most."""
-    counts: dict[str, list[int]] = {}
-    for method, runs in itertools.chain(*(slot.runs for slot in slots)):
-        counts.setdefault(method, []).append(runs)
-    ends = {method: dict.fromkeys((min(runs), max(runs))) for method, runs in counts.items()}
-    looks = section.looks()
-    return {f"{method} (n = {'–'.join(map(str, n))})": looks[method] for method, n in ends.items()}
-
-
-def nothing(section: Section, what: str) -> UserError:
-    """The refusal of a figure for which a section has `what` ("no ..."); to be raised."""
-    return UserError(
-        f"{section.experiment}, profile {section.profile}: {what} to draw",
-        f"`rrmctl run {section.experiment}` makes runs, `rrmctl plot {section.experiment}` draws what suits them",
-    )
 
 
 def from_frames(draw: Callable[[Section, Statistics], Figure]) -> Callable[..., Figure]:
@@ -195,30 +185,16 @@ def wrapped(text: str, letters: float, width: float) -> list[str]:
 
 def _length(text: str, letters: float) -> float:
     """Inches."""
-    from matplotlib.font_manager import FontProperties
-    from matplotlib.textpath import text_to_path
-
     wide, _, _ = text_to_path.get_text_width_height_descent(text, FontProperties(size=letters), ismath=False)
     return float(wide) / 72
 
 
-def look(width: Width | None = None) -> AbstractContextManager[None]:
-    """Inside of it matplotlib has our settings, for a figure of this width, whatever the user's are."""
-    with contextlib.chdir(Path(__file__).parent):  # a matplotlibrc in the working directory need not even be one
-        from matplotlib.style import context
-
-    letters: Any = {"font.size": TEXT[width][0], "axes.titlesize": TEXT[width][0] + 0.5} if width else {}
-    return context(["default", Path(__file__).with_suffix(".mplstyle"), letters])
-
-
 def encode(figure: Figure, form: str, dpi: int = 200) -> bytes:
     """The content of a file of this form: png, pdf or svg. Equal figures give equal bytes."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-
     FigureCanvasAgg(figure)
     buffer = io.BytesIO()
     undated = {"pdf": {"CreationDate": None}, "svg": {"Date": None}}.get(form)
-    with look():
+    with style.context(_LOOK):
         figure.savefig(buffer, format=form, dpi=dpi, metadata=undated)
     if form != "svg":
         return buffer.getvalue()

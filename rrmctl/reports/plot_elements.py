@@ -5,29 +5,24 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from rrm.envs.tasks import ScoreKind
 from rrmctl.labels import ORACLE
-from rrmctl.reports.figure_layout import Slot
+from rrmctl.reports.figure_layout import Axes, Slot
 from rrmctl.reports.iqm_curves import ALL_TASKS, across_tasks
 from rrmctl.reports.series import Panel, Section, Series
 from rrmctl.reports.styles import Looks, Style
-from rrmctl.stats import CommonStep, Floats, IqmKind, Steps, common_step, iqm, quartiles
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
+from rrmctl.stats import CommonStep, Floats, IqmKind, Steps, iqm, quartiles
 
 UNITS = {"success": "Success rate (%)", "return": "Return (true reward)"}
-
-_MARKERS_A_LINE = 8
 
 
 def line(axes: Axes, steps: Steps | Floats, values: Floats, look: Style, position: int = 0, **other: Any) -> None:
     """A line with some eight markers; those of lines at different positions do not lie on one another."""
-    every = math.ceil(steps.size / _MARKERS_A_LINE)
+    every = math.ceil(steps.size / 8)
     # A line without markers has nothing to show at a single step.
     marker = look.marker or ("." if steps.size == 1 else "")
     arguments: dict[str, Any] = look._asdict() | {"marker": marker, "markevery": (position % every, every)}
@@ -62,11 +57,9 @@ def scaled(series: Series) -> Floats:
 
 def step_axis(axes: Axes, last: int) -> None:
     """From zero to the last step, with ticks like 500k."""
-    from matplotlib.ticker import FuncFormatter, MaxNLocator
-
     axes.set_xlim(0, 1.03 * last)
-    axes.xaxis.set_major_locator(MaxNLocator("auto", steps=[1, 2, 2.5, 5, 10], min_n_ticks=3))
-    axes.xaxis.set_major_formatter(FuncFormatter(lambda steps, _: short_steps(steps)))
+    axes.locator_params("x", min_n_ticks=3)
+    axes.xaxis.set_major_formatter(lambda steps, _: short_steps(steps))
 
 
 def score_axis(axes: Axes, score: str) -> None:
@@ -122,7 +115,7 @@ def readings(section: Section, rule: Callable[[Panel], CommonStep]) -> list[Fina
     A method is pooled where it has runs on all of the tasks.
     """
     panels = [panel for panel in section.panels() if panel.comparable()]
-    single = {}
+    single, pooled, groups = {}, [], across_tasks(panels)
     for panel in panels:
         read = rule(panel)
         strata = {
@@ -130,15 +123,9 @@ def readings(section: Section, rule: Callable[[Panel], CommonStep]) -> list[Fina
             for series in panel.present()
         }
         single[panel] = FinalScores(panel_name(panel, panels), panel.score, strata, (panel,), read)
-    groups, pooled = across_tasks(panels), []
     for group in groups:  # several of them are told apart by teacher and schedule
         name = f"{ALL_TASKS}, {group[0].teacher}, {group[0].feedback}" if len(groups) > 1 else ALL_TASKS
         tasks = [single[panel].strata for panel in group]
         strata = {method: [task[method][0] for task in tasks] for method in tasks[0] if all(method in t for t in tasks)}
         pooled.append(FinalScores(name, "success", strata, tuple(group), None))
     return [*single.values(), *pooled]
-
-
-def last_step(panel: Panel) -> CommonStep:
-    """The last step that is common to the methods of a panel."""
-    return common_step(panel.steps(), {})

@@ -57,19 +57,17 @@ _LINES: Mapping[str, Dashes] = _TABLE["lines"]
 def styles(methods: Iterable[str]) -> Looks:
     """The looks of methods that are drawn together; their order does not matter."""
     named = {method: _parts(method) for method in methods}
-    looks = {method: _known(*name) for method, name in named.items()}
+    looks = {method: _tabled(*name) for method, name in named.items()}
     # A new name takes the place that it suggests if that is free, or the next one; with every family the same.
+    new = {method: (bool(named[method][0]), *named[method][1:]) for method, look in looks.items() if not look}
     places: dict[tuple[bool, str, str], int] = {}
-    for key in sorted({(bool(named[method][0]), *named[method][1:]) for method, look in looks.items() if not look}):
+    for key in sorted(set(new.values())):
         first = zlib.crc32("-".join(key[1:]).encode())
         order = itertools.chain(((first + step) % len(_NEW) for step in range(len(_NEW))), itertools.count(len(_NEW)))
         places[key] = next(place for place in order if place not in places.values())
     bases = {base for _, base, _ in named.values()}
     free = [*_NEW, *(hue for base, hue in reversed(_HUES.items()) if hue[1] and base not in bases)]
-    return {
-        method: look or _new(*named[method], places[bool(named[method][0]), *named[method][1:]], free)
-        for method, look in looks.items()
-    }
+    return {method: look or _new(*named[method], places[new[method]], free) for method, look in looks.items()}
 
 
 def style(method: str) -> Style:
@@ -79,29 +77,25 @@ def style(method: str) -> Style:
 
 def parts(method: str) -> tuple[str, str]:
     """Family and base of a name: `rrm-surf-proxy` -> ("rrm-surf", "proxy"), `pebble` -> ("", "pebble")."""
-    for family in sorted(_LINES, key=len, reverse=True):
-        if family and method.startswith(f"{family}-"):
-            return family, method.removeprefix(f"{family}-")
-    return "", method
+    family = max((name for name in _LINES if name and method.startswith(f"{name}-")), key=len, default="")
+    return family, method.removeprefix(f"{family}-") if family else method
 
 
 def _parts(method: str) -> tuple[str, str, str]:
     """Family, base and suffix: `rrm-proxy-bfloat16` -> ("rrm", "proxy", "bfloat16")."""
     family, rest = parts(method)
-    for base in _HUES:
-        if rest.startswith(f"{base}-"):
-            return family, base, rest.removeprefix(f"{base}-")
-    return family, rest, ""
+    base = next((base for base in _HUES if rest.startswith(f"{base}-")), rest)
+    return family, base, rest.removeprefix(base).removeprefix("-")
 
 
-def _known(family: str, base: str, suffix: str) -> Style | None:
+def _tabled(family: str, base: str, suffix: str) -> Style | None:
     """The look that the tables tell, where they tell it from every other."""
     if base not in _TABLE["priors" if family else "learners"]:
         return None
     (colour, marker), line = _HUES[base], _LINES[family]
     if suffix:
-        tabled = suffix == "bfloat16" or (base == "finetune" and suffix in _TABLE["variants"])
-        if not tabled or family not in ("", "rrm"):
+        named = suffix == "bfloat16" or (base == "finetune" and suffix in _TABLE["variants"])
+        if not named or family not in ("", "rrm"):
             return None
         white, own_marker, line = _TABLE["variants"][suffix]
         # Dots remain the oracle's; a marker then tells its variants from itself.

@@ -8,9 +8,23 @@ A module has
   a package is missing.
 """
 
+from importlib import metadata
+
+from rrmctl.errors import UserError
 from rrmctl.reports.plugins import Entry, entries
 
 
 def formats() -> dict[str, Entry]:
     """The formats, by name."""
     return entries(__file__, __name__)
+
+
+def require(package: str) -> None:
+    """Refuse to go on without a package that one format needs; the extra that installs it has its name.
+
+    Asks the installation rather than importing: a folder of that name in the working directory can be imported, too.
+    """
+    try:
+        metadata.version(package)
+    except metadata.PackageNotFoundError:
+        raise UserError(f"this needs {package}, which is not installed", f"pip install 'rrmctl[{package}]'") from None

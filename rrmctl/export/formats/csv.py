@@ -9,23 +9,16 @@ exactly.
 from __future__ import annotations
 
 import json
-import tomllib
 from pathlib import Path
 
 import rrm
-from rrmctl.export.bundle import RUN_COLUMNS, Bundle, Field, described
+from rrmctl.export.bundle import OTHER_RUN_COLUMNS, RUN_COLUMNS, Bundle, described
 from rrmctl.store.files import write_bytes
 from rrmctl.store.schema import SCHEMA_VERSION
 from rrmctl.store.snapshot import table
 
 #: Raised by one when a column of the files is added, removed, or changes its meaning.
 CSV_VERSION = 1
-
-#: Columns of runs.csv that evaluations.csv lacks, or uses for something else.
-OTHER_RUN_COLUMNS = {
-    name: Field(column["type"], column.get("unit", ""), column["meaning"])
-    for name, column in tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8")).items()
-}
 
 
 def write(bundle: Bundle, folder: Path) -> list[Path]:
@@ -44,7 +37,11 @@ def write(bundle: Bundle, folder: Path) -> list[Path]:
                 "format": "csv",
                 "encoding": "utf-8",
                 "schema": {
-                    "fields": [_described(column, *meanings[name](column)) for column in map(str, frame)],
+                    "fields": [
+                        {"name": column, "type": kind, **({"unit": unit} if unit else {}), "description": meaning}
+                        for column in map(str, frame)
+                        for kind, unit, meaning in [meanings[name](column)]
+                    ],
                     "missingValues": [""],
                 },
             }
@@ -62,7 +59,3 @@ def write(bundle: Bundle, folder: Path) -> list[Path]:
     for name, text in texts.items():
         write_bytes(folder / name, text.encode())
     return [folder / name for name in texts]
-
-
-def _described(column: str, kind: str, unit: str, meaning: str) -> dict[str, str]:
-    return {"name": column, "type": kind, **({"unit": unit} if unit else {}), "description": meaning}

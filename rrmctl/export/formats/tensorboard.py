@@ -15,17 +15,13 @@ import re
 import textwrap
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Any
 
-from rrmctl.export import require
+from rrmctl.export.bundle import Bundle
+from rrmctl.export.formats import require
 from rrmctl.store.files import write_bytes
 from rrmctl.store.records import settings
 from rrmctl.store.snapshot import Run
-
-if TYPE_CHECKING:
-    from tensorboard.compat.proto.event_pb2 import Event
-
-    from rrmctl.export.bundle import Bundle
 
 #: Always the same, so that a second export takes the place of the first.
 _FILE = "events.out.tfevents.rrmctl"
@@ -67,7 +63,7 @@ def run_folder(run: Run) -> Path:
     return Path(*(re.sub(r"^\.|[^\w.@+ -]", "-", name) for name in names))
 
 
-def _events(run: Run) -> Iterator[Event]:
+def _events(run: Run) -> Iterator[Any]:
     from tensorboard.compat.proto.event_pb2 import Event
     from tensorboard.compat.proto.summary_pb2 import Summary
     from tensorboard.plugins.hparams.summary_v2 import hparams_pb

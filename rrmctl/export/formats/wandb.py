@@ -19,16 +19,14 @@ import tempfile
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from rrm.environ import environment
 from rrmctl.errors import UserError
-from rrmctl.export import require
+from rrmctl.export.bundle import Bundle
+from rrmctl.export.formats import require
 from rrmctl.store.files import storage_error
 from rrmctl.store.records import read_json, write_json
-
-if TYPE_CHECKING:
-    from rrmctl.export.bundle import Bundle
 
 #: In each exported run's folder: marks it as ours, and says what it holds.
 _MARK = "rrmctl.json"
@@ -110,8 +108,8 @@ def _have_written(contents: Sequence[Mapping[str, Any]], folder: Path) -> None:
         raise UserError(f"wandb could not write the runs: {reason}")
 
 
-def _write_offline(content: Mapping[str, Any], folder: str) -> None:
-    """In that process: write one of `_contents` to `folder/wandb/offline-run-*`."""
+def _write_offline(folder: str) -> None:
+    """In that process: write what is on standard input to `folder/wandb/offline-run-*`."""
     import wandb
 
     settings = wandb.Settings(
@@ -119,14 +117,14 @@ def _write_offline(content: Mapping[str, Any], folder: str) -> None:
         disable_job_creation=True, x_disable_stats=True, x_disable_meta=True, x_disable_machine_info=True,
         x_save_requirements=False,
     )  # fmt: skip
-    with wandb.init(**content["init"], id=content["id"], settings=settings) as run:
-        run.define_metric("*", step_metric="step")
-        for row in content["rows"]:
-            run.log(row, step=row["step"])
-        run.summary.update(content["summary"])
-        run.finish(exit_code=content["exit_code"])
+    for content in json.load(sys.stdin):
+        with wandb.init(**content["init"], id=content["id"], settings=settings) as run:
+            run.define_metric("*", step_metric="step")
+            for row in content["rows"]:
+                run.log(row, step=row["step"])
+            run.summary.update(content["summary"])
+            run.finish(exit_code=content["exit_code"])
 
 
 if __name__ == "__main__":
-    for _content in json.load(sys.stdin):
-        _write_offline(_content, sys.argv[1])
+    _write_offline(sys.argv[1])

@@ -4,7 +4,8 @@ A module has
 
 - a docstring, whose first line `rrmctl plot --help` shows,
 - `suits(section) -> bool`, whether the section has what the figure shows, and
-- `draw(section, settings) -> Figure`, a matplotlib figure, as `rrmctl.reports.figure_layout.sheet` makes it of panels.
+- `draw(section, settings) -> Figure`, a matplotlib figure, as `rrmctl.reports.figure_layout.sheet` makes it of panels;
+  what it needs of matplotlib comes from there, where it is imported out of reach of a `matplotlibrc`.
 """
 
 from rrmctl.reports.plugins import Entry, entries

@@ -5,16 +5,11 @@ Where an experiment has such pairs (`rrm-P` and `sac-P`), it draws what the lear
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
-from rrmctl.reports.figure_layout import from_frames, sheet
+from rrmctl.reports.figure_layout import Figure, from_frames, sheet
 from rrmctl.reports.plot_elements import curves_slot, iqm_notes, panel_name
 from rrmctl.reports.series import Panel, Section, Series
 from rrmctl.reports.statistics import DEFAULTS, Statistics
 from rrmctl.reports.styles import ALONE, parts
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 
 def suits(section: Section) -> bool:
@@ -25,17 +20,14 @@ def suits(section: Section) -> bool:
 def draw(section: Section, settings: Statistics = DEFAULTS) -> Figure:
     """A panel for each task and prior: the residual model, the prior alone, and what stands on no prior."""
     panels, looks = section.panels(), section.looks()
-    return sheet(
-        section,
-        settings,
-        [
-            curves_slot(f"{panel_name(panel, panels)}: {prior}", series, looks, settings.kind)
-            for panel in panels
-            for prior, series in pairs(panel).items()
-        ],
-        notes=["Filled: with the residual; hollow and dashed: the prior alone.", *iqm_notes(section, settings.kind)],
-        lacking="no prior with runs both with and without the residual",
-    )
+    slots = [
+        curves_slot(f"{panel_name(panel, panels)}: {prior}", series, looks, settings.kind)
+        for panel in panels
+        for prior, series in pairs(panel).items()
+    ]
+    notes = ["Filled: with the residual; hollow and dashed: the prior alone.", *iqm_notes(section, settings.kind)]
+    lacking = "no prior with runs both with and without the residual"
+    return sheet(section, settings, slots, notes=notes, lacking=lacking)
 
 
 def pairs(panel: Panel) -> dict[str, list[Series]]:

@@ -8,22 +8,18 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from rrmctl.labels import knows
-from rrmctl.reports.figure_layout import Slot, from_frames, sheet
+from rrmctl.reports.figure_layout import Axes, Figure, Slot, from_frames, sheet
 from rrmctl.reports.plot_elements import UNITS, FinalScores, line, readings, score_axis, step_axis
 from rrmctl.reports.series import Panel, Section, at_steps
 from rrmctl.reports.statistics import DEFAULTS, Statistics
 from rrmctl.reports.styles import Looks
 from rrmctl.stats import MIN_RUNS, CommonStep, IqmKind, iqm, mean, quartiles
 from rrmctl.stats.curves import SHARE
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 #: Inches: a method's row, and what a panel of boxes needs beside its rows.
 _ROW, _FRAME = 0.25, 0.7

@@ -5,15 +5,10 @@ The oracle is dotted. The band is the spread of the seeds (25th to 75th percenti
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
-from rrmctl.reports.figure_layout import from_frames, sheet
+from rrmctl.reports.figure_layout import Figure, from_frames, sheet
 from rrmctl.reports.plot_elements import curves_slot, iqm_notes, panel_name
 from rrmctl.reports.series import Section
 from rrmctl.reports.statistics import DEFAULTS, Statistics
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 
 def suits(section: Section) -> bool:

@@ -6,19 +6,13 @@ the agreement with the labels it was trained on and with the true reward on fres
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 from rrmctl.labels import ORACLE
-from rrmctl.reports.figure_layout import Slot, from_frames, sheet
+from rrmctl.reports.figure_layout import Axes, Figure, Slot, from_frames, sheet
 from rrmctl.reports.plot_elements import curve, iqm_notes, panel_name, score_axis, step_axis
 from rrmctl.reports.series import Section, Series, finite
 from rrmctl.reports.statistics import DEFAULTS, Statistics
 from rrmctl.reports.styles import ALONE, Looks, Style, parts, style
 from rrmctl.stats import IqmKind
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 _OPPOSITE = "opposite"
 #: Of the legend where panels are of several methods, each in its colour.
@@ -33,39 +27,34 @@ _PANELS = {
 
 def suits(section: Section) -> bool:
     """The residual model on the opposite prior has runs."""
-    return any(parts(series.label.method)[1] == _OPPOSITE for series in _residual(section))
+    return bool(_residual(section, _OPPOSITE))
 
 
 def draw(section: Section, settings: Statistics = DEFAULTS) -> Figure:
     """Three panels a task: rewards, true reward, agreement; without an opposite prior for every residual model."""
-    models = _residual(section)
-    shown = [series for series in models if parts(series.label.method)[1] == _OPPOSITE] or models
-    colours = {series.label.method: section.looks()[series.label.method].color for series in shown}
-    looks, panels = _looks(colours.popitem()[1] if len(colours) == 1 else _ANY), section.panels()
-    return sheet(
-        section,
-        settings,
-        [
-            _slot(f"{panel_name(panel, panels)}\n{series.label.method}", unit, series, own, settings.kind)
-            for panel in panels
-            for series in panel.present()
-            if series in shown
-            for own in [_looks(section.looks()[series.label.method].color)]
-            for unit in _PANELS
-        ],
-        legend={name: looks[column] for columns in _PANELS.values() for column, name in columns.items()},
-        notes=[
-            "Rewards: means over the transitions since the evaluation before.",
-            f"Seeds: {'; '.join(f'{series.label}: {series.n}' for series in shown)}.",
-            *iqm_notes(section, settings.kind),
-        ],
-        lacking="no residual model",
-    )
+    shown, methods, panels = _residual(section, _OPPOSITE) or _residual(section), section.looks(), section.panels()
+    own = {series.label.method: _looks(methods[series.label.method].color) for series in shown}
+    looks = next(iter(own.values())) if len(own) == 1 else _looks(_ANY)
+    slots = [
+        _slot(panel_name(panel, panels), unit, series, own[series.label.method], settings.kind)
+        for panel in panels
+        for series in panel.present()
+        if series in shown
+        for unit in _PANELS
+    ]
+    legend = {name: looks[column] for columns in _PANELS.values() for column, name in columns.items()}
+    notes = [
+        "Rewards: means over the transitions since the evaluation before.",
+        f"Seeds: {'; '.join(f'{series.label}: {series.n}' for series in shown)}.",
+        *iqm_notes(section, settings.kind),
+    ]
+    return sheet(section, settings, slots, legend=legend, notes=notes, lacking="no residual model")
 
 
-def _residual(section: Section) -> list[Series]:
-    """Series with a prior and something learned on it."""
-    return [series for series in section.series if series.n and parts(series.label.method)[0] not in ("", ALONE)]
+def _residual(section: Section, prior: str | None = None) -> list[Series]:
+    """Series with something learned on this prior, or on any."""
+    named = [(series, *parts(series.label.method)) for series in section.series if series.n]
+    return [series for series, family, base in named if family not in ("", ALONE) and prior in (None, base)]
 
 
 def _looks(colour: str) -> Looks:
@@ -91,7 +80,7 @@ def _slot(name: str, unit: str, series: Series, looks: Looks, kind: IqmKind) -> 
             score_axis(axes, "success")
         step_axis(axes, int(series.steps[-1]))
 
-    return Slot(name, unit, fill)
+    return Slot(f"{name}\n{series.label.method}", unit, fill)
 
 
 diagnostics = from_frames(draw)

@@ -5,24 +5,19 @@ Drawn of runs that left `gradients.parquet`: of the method `finetune` and those 
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import replace
-from typing import TYPE_CHECKING
+from collections.abc import Mapping
 
 import numpy as np
+import pandas as pd
 
-from rrmctl.reports.figure_layout import Slot, nothing, one_section, sheet
+from rrmctl.errors import UserError
+from rrmctl.reports.figure_layout import Axes, Figure, Slot, one_section, sheet
 from rrmctl.reports.plot_elements import curve, panel_name, step_axis
 from rrmctl.reports.series import Section, Series
 from rrmctl.reports.statistics import DEFAULTS, Statistics, Width
 from rrmctl.reports.styles import Looks
 from rrmctl.stats import IqmKind
 from rrmctl.store.curve import load_gradients
-
-if TYPE_CHECKING:
-    import pandas as pd
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 #: Over the length of a run: norms jump from minibatch to minibatch.
 _BINS = 60
@@ -46,67 +41,50 @@ def gradient_norms(
     kind: IqmKind = "rliable",
     width: Width = "page",
 ) -> Figure:
-    """The same in a notebook: `gradients` as `rrmctl.store.load_gradients` returns it, the rest as for other figures.
-
-    Raises:
-        UserError: several variants or experiments at once, or no norms of these runs.
-    """
+    """The same in a notebook; `gradients` as `rrmctl.store.load_gradients` returns it, the rest as everywhere."""
     return draw(one_section(rows, jobs), Statistics(kind=kind, width=width), gradients)
 
 
 def draw(section: Section, settings: Statistics = DEFAULTS, gradients: pd.DataFrame | None = None) -> Figure:
     """A panel for each task, with the median norm in each sixtieth of the steps, before and after the change."""
+    every = [run for series in section.series for run in series.runs]
     if gradients is None:
         if section.source is None:
-            raise nothing(section, "no gradients beside the curves")
-        gradients = load_gradients(section.source.root, [run for series in section.series for run in series.runs])
+            where = f"{section.experiment}, profile {section.profile}"
+            raise UserError(f"{where}: no gradients beside the curves to draw", "hand them over, as `gradients`")
+        gradients = load_gradients(section.source.root, every)
     panels, looks, normed = section.panels(), section.looks(), set(gradients["run"])
-    shown = {
-        panel_name(panel, panels): [_only(series, normed) for series in panel.present() if normed & {*series.runs}]
-        for panel in panels
-    }
-    return sheet(
-        section,
-        settings,
-        [_slot(gradients, name, series, looks, settings.kind) for name, series in shown.items() if series],
-        notes=[
-            f"Median over the gradient steps in each {_BINS}th of the run, then the interquartile mean over seeds "
-            f"({settings.kind}). Band: 25 to 75 % of the seeds. Grey: where the loss changes.",
-            *_counted(section, normed),
-        ],
-        lacking="no norms of gradients",
-    )
-
-
-def _only(series: Series, normed: set[str]) -> Series:
-    """The series of those of its runs that left norms."""
-    left = [at for at, run in enumerate(series.runs) if run in normed]
-    seeds, runs = tuple(series.seeds[at] for at in left), tuple(series.runs[at] for at in left)
-    return replace(series, values=series.values[left], seeds=seeds, runs=runs)
-
-
-def _counted(section: Section, normed: set[str]) -> Iterator[str]:
-    """How many runs left norms, and which did not though others of their series did."""
-    yield f"Norms of {len(normed.intersection(run for series in section.series for run in series.runs))} runs."
+    notes = [
+        f"Median over the gradient steps in each {_BINS}th of the run, then the interquartile mean over seeds "
+        f"({settings.kind}). Band: 25 to 75 % of the seeds. Grey: where the loss changes.",
+        f"Norms of {len(normed.intersection(every))} runs.",
+    ]
     for series in section.series:
-        runs = zip(series.seeds, series.runs, strict=True)
-        lacking = [f"{run} (seed {seed})" for seed, run in runs if run not in normed]
-        if 0 < len(lacking) < series.n:
-            yield f"No norms of {series.label}: {', '.join(lacking)}."
+        seeded = zip(series.seeds, series.runs, strict=True)
+        lacking = [f"{run} (seed {seed})" for seed, run in seeded if run not in normed]
+        if 0 < len(lacking) < series.n:  # others of its series left norms
+            notes.append(f"No norms of {series.label}: {', '.join(lacking)}.")
+    slots = []
+    for panel in panels:
+        left = {series: [run for run in series.runs if run in normed] for series in panel.present()}
+        if shown := {series: runs for series, runs in left.items() if runs}:
+            slots.append(_slot(gradients, panel_name(panel, panels), shown, looks, settings.kind))
+    return sheet(section, settings, slots, notes=notes, lacking="no norms of gradients")
 
 
-def _slot(gradients: pd.DataFrame, name: str, shown: Sequence[Series], looks: Looks, kind: IqmKind) -> Slot:
+def _slot(gradients: pd.DataFrame, name: str, shown: Mapping[Series, list[str]], looks: Looks, kind: IqmKind) -> Slot:
+    """A panel of series, with those of their runs that left norms."""
     last = max(int(series.steps[-1]) for series in shown)
     length = last / _BINS
 
     def fill(axes: Axes) -> None:
-        for position, series in enumerate(shown):
-            own = gradients[gradients["run"].isin(series.runs)]
+        for position, (series, runs) in enumerate(shown.items()):
+            own = gradients[gradients["run"].isin(runs)]
             tuned = own["loss"] == _FINE_TUNING
             bins = (own["step"] // length).rename("bin")
             for _, phase in own.groupby(tuned):  # medians of each run where all have one
                 medians = phase.groupby([phase["run"], bins])["gradient_norm"].median().unstack("bin")
-                norms = medians.reindex(list(series.runs)).dropna(axis="columns")
+                norms = medians.reindex(runs).dropna(axis="columns")
                 if norms.size:
                     middles = ((norms.columns.to_numpy(dtype=np.float64) + 0.5) * length).astype(np.int64)
                     curve(axes, middles, norms.to_numpy(), looks[series.label.method], kind, position=position)
@@ -116,5 +94,5 @@ def _slot(gradients: pd.DataFrame, name: str, shown: Sequence[Series], looks: Lo
         axes.set_yscale("log", nonpositive="clip")
         step_axis(axes, last)
 
-    runs = [(series.label.method, series.n) for series in shown]
-    return Slot(name, "Norm of the reward's gradient", fill, runs=runs)
+    counts = [(series.label.method, len(runs)) for series, runs in shown.items()]
+    return Slot(name, "Norm of the reward's gradient", fill, runs=counts)

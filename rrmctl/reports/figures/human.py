@@ -7,20 +7,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from rrmctl.reports.figure_layout import Slot, from_frames, sheet
+from rrmctl.reports.figure_layout import Axes, Figure, Slot, from_frames, sheet
 from rrmctl.reports.plot_elements import curves_slot, iqm_notes, line, panel_name, scaled
 from rrmctl.reports.series import Section, Series
 from rrmctl.reports.statistics import DEFAULTS, Statistics
 from rrmctl.reports.styles import Looks
 from rrmctl.stats import Floats, IqmKind, iqm
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 #: Evaluations.
 WINDOW = 5
@@ -37,16 +32,9 @@ def draw(section: Section, settings: Statistics = DEFAULTS) -> Figure:
     """Smoothed learning curves, a panel for each task that people taught (of every task, where they taught none)."""
     panels, looks = section.panels(), section.looks()
     shown = [panel for panel in panels if panel.teacher == HUMAN] or panels
-    return sheet(
-        section,
-        settings,
-        [_slot(panel_name(panel, panels), panel.present(), looks, settings.kind) for panel in shown],
-        notes=[
-            f"Each seed is smoothed: centred mean over {WINDOW} evaluations, fewer at the ends. Thin: not smoothed.",
-            *iqm_notes(section, settings.kind),
-        ],
-        lacking="no run",
-    )
+    slots = [_slot(panel_name(panel, panels), panel.present(), looks, settings.kind) for panel in shown]
+    note = f"Each seed is smoothed: centred mean over {WINDOW} evaluations, fewer at the ends. Thin: not smoothed."
+    return sheet(section, settings, slots, notes=[note, *iqm_notes(section, settings.kind)], lacking="no run")
 
 
 def _slot(name: str, shown: Sequence[Series], looks: Looks, kind: IqmKind) -> Slot:
@@ -66,8 +54,6 @@ def smooth(values: Floats, window: int) -> Floats:
     """Centred moving mean over an odd number of evaluations, along the last axis; the window shrinks evenly at both
     ends, so that no curve is shifted.
     """
-    if window < 1 or window % 2 == 0:
-        raise ValueError(f"a centred window is an odd number of evaluations, not {window}")
     length = values.shape[-1]
     reach = [min(window // 2, at, length - 1 - at) for at in range(length)]
     means = [values[..., at - wide : at + wide + 1].mean(axis=-1) for at, wide in enumerate(reach)]

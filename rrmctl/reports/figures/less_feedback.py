@@ -6,16 +6,17 @@ small hollow one above or below it is the interquartile mean at the last step. O
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from operator import attrgetter
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from rrmctl.errors import UserError
 from rrmctl.labels import NOTHING_ASKED, Schedule
-from rrmctl.reports.figure_layout import Slot, from_frames, sheet
+from rrmctl.reports.figure_layout import Axes, Figure, Slot, from_frames, sheet
 from rrmctl.reports.iqm_curves import ALL_TASKS
 from rrmctl.reports.plot_elements import UNITS, score_axis, short_steps
 from rrmctl.reports.scores import read_together, score
@@ -23,10 +24,6 @@ from rrmctl.reports.series import Section, Series
 from rrmctl.reports.statistics import DEFAULTS, SURE, Statistics
 from rrmctl.reports.styles import Looks
 from rrmctl.stats import Floats, iqm
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,10 +46,10 @@ def suits(section: Section) -> bool:
 def draw(section: Section, settings: Statistics = DEFAULTS) -> Figure:
     """For each task, and for the mean of the success tasks, a panel for each respect in which schedules differ."""
     (sweeps, apart), looks = _sweeps(section), section.looks()
-    groups: dict[Any, list[Sweep]] = {}  # over the same schedules under the same teacher
+    groups = defaultdict[Any, list[Sweep]](list)  # over the same schedules under the same teacher
     for sweep in sweeps:
         if sweep.score == "success":
-            groups.setdefault((sweep.field, sweep.teacher, sweep.schedules), []).append(sweep)
+            groups[sweep.field, sweep.teacher, sweep.schedules].append(sweep)
     means = [group for group in groups.values() if len(group) > 1]
     several = len({sweep.teacher for sweep in sweeps}) > 1
     return sheet(
@@ -73,24 +70,24 @@ def draw(section: Section, settings: Statistics = DEFAULTS) -> Figure:
 def _sweeps(section: Section) -> tuple[list[Sweep], list[str]]:
     """The comparisons of schedules that the section holds, task by task, and why some tasks have none."""
     sweeps, apart = [], []
-    tasks: dict[str, list[Series]] = {}
+    tasks = defaultdict[str, list[Series]](list)
     for series in section.series:
         if series.n and series.label.feedback != NOTHING_ASKED:
-            tasks.setdefault(series.label.task, []).append(series)
+            tasks[series.label.task].append(series)
     for task, asking in tasks.items():
         try:
             _, values = read_together(asking)
         except UserError as error:
             apart.append(str(error))
             continue
-        by_teacher: dict[str, dict[tuple[str, Schedule], Series]] = {}
-        for series in values:
+        taught = defaultdict[str, dict[tuple[str, Schedule], Floats]](dict)
+        for series, scores in values.items():
             schedule = Schedule.of(series.label.feedback)
             if schedule and not schedule.name:
-                by_teacher.setdefault(series.label.teacher, {})[series.label.method, schedule] = series
-        for teacher, taught in by_teacher.items():
-            for field, chosen in _compared({schedule for _, schedule in taught}):
-                own = {key: values[series] for key, series in taught.items() if key[1] in chosen}
+                taught[series.label.teacher][series.label.method, schedule] = scores
+        for teacher, points in taught.items():
+            for field, chosen in _compared({schedule for _, schedule in points}):
+                own = {key: scores for key, scores in points.items() if key[1] in chosen}
                 sweeps.append(Sweep(task, teacher, asking[0].score, field, chosen, own))
     return sweeps, apart
 
@@ -107,18 +104,14 @@ def _compared(schedules: set[Schedule]) -> Iterator[tuple[str, tuple[Schedule, .
 
 def _slot(group: Sequence[Sweep], several: bool, looks: Looks, settings: Statistics) -> Slot:
     """A panel: one task, or the mean of several; `several` teachers are named."""
-    first, scale = group[0], 100 if group[0].score == "success" else 1
+    first, schedules, scale = group[0], group[0].schedules, 100 if group[0].score == "success" else 1
     methods = list(dict.fromkeys(method for method, _ in first.values))
 
     def fill(axes: Axes) -> None:
         for row, method in enumerate(methods):
-            at = [
-                place
-                for place, schedule in enumerate(first.schedules)
-                if all((method, schedule) in sweep.values for sweep in group)
-            ]
-            x = np.array(at) + 0.12 * (row - (len(methods) - 1) / 2)
-            tasks = [[sweep.values[method, first.schedules[place]] for sweep in group] for place in at]
+            held = [schedule for schedule in schedules if all((method, schedule) in sweep.values for sweep in group)]
+            x = np.array(list(map(schedules.index, held))) + 0.12 * (row - (len(methods) - 1) / 2)
+            tasks = [[sweep.values[method, schedule] for sweep in group] for schedule in held]
             means = [score(values, settings).estimate() for values in tasks]
             y, low, high = (
                 [scale * float(getattr(mean, end)) for mean in means] for end in ("estimate", "low", "high")
@@ -129,16 +122,16 @@ def _slot(group: Sequence[Sweep], several: bool, looks: Looks, settings: Statist
             axes.vlines(x, low, high, color=looks[method].color, linewidth=0.9)
             hollow = {"linestyle": "none", "markerfacecolor": "white", "markersize": 3, "markeredgewidth": 0.6}
             axes.plot(x, last, **look | hollow)
-        ticks = [short_steps(getattr(schedule, first.field)) for schedule in first.schedules]
+        ticks = [short_steps(getattr(schedule, first.field)) for schedule in schedules]
         axes.set_xticks(range(len(ticks)), ticks)
-        axes.set_xlim(-0.4, len(first.schedules) - 0.6)
+        axes.set_xlim(-0.4, len(schedules) - 0.6)
         score_axis(axes, first.score)
 
     name = (first.task if len(group) == 1 else ALL_TASKS) + (f", teacher {first.teacher}" if several else "")
     if first.field == "batch":
-        across = f"Queries a session,\nevery {short_steps(first.schedules[0].every)} steps"
+        across = f"Queries a session,\nevery {short_steps(schedules[0].every)} steps"
     else:
-        across = f"Steps between\nsessions of {first.schedules[0].batch}"
+        across = f"Steps between\nsessions of {schedules[0].batch}"
     runs = [(method, len(values)) for sweep in group for (method, _), values in sweep.values.items()]
     return Slot(name, UNITS[first.score], fill, across, runs)
 

@@ -6,20 +6,14 @@ success tasks are pooled.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
-from rrmctl.reports.figure_layout import Slot, from_frames, sheet
-from rrmctl.reports.plot_elements import UNITS, FinalScores, last_step, line, readings, score_axis
+from rrmctl.reports.figure_layout import Axes, Figure, Slot, from_frames, sheet
+from rrmctl.reports.plot_elements import UNITS, FinalScores, line, readings, score_axis
 from rrmctl.reports.series import Section
 from rrmctl.reports.statistics import BOOTSTRAP_SEED, DEFAULTS, LEVEL, SURE, Statistics
 from rrmctl.reports.styles import Looks
-from rrmctl.stats import MIN_RUNS, performance_profile
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
+from rrmctl.stats import MIN_RUNS, common_step, performance_profile
 
 #: Scores at which the shares are taken.
 _POINTS = 201
@@ -32,22 +26,17 @@ def suits(section: Section) -> bool:
 
 def draw(section: Section, settings: Statistics = DEFAULTS) -> Figure:
     """A panel for the success tasks together, and one for each task that is scored by return."""
-    cells, looks = _readings(section), section.looks()
-    return sheet(
-        section,
-        settings,
-        [_slot(cell, looks, settings) for cell in cells],
-        notes=[
-            "Line: share of the runs whose score at the last step is higher. "
-            f"Band: {SURE} at each score by itself, bootstrap over seeds, stratified by task.",
-        ],
-        lacking=f"no two methods with {MIN_RUNS} runs each",
-    )
+    looks = section.looks()
+    slots = [_slot(cell, looks, settings) for cell in _readings(section)]
+    line_note = "Line: share of the runs whose score at the last step is higher."
+    band_note = f"Band: {SURE} at each score by itself, bootstrap over seeds, stratified by task."
+    lacking = f"no two methods with {MIN_RUNS} runs each"
+    return sheet(section, settings, slots, notes=[line_note, band_note], lacking=lacking)
 
 
 def _readings(section: Section) -> list[FinalScores]:
     """Readings with two methods that have runs enough; tasks stand for themselves where pooling would lose a method."""
-    cells = readings(section, last_step)
+    cells = readings(section, lambda panel: common_step(panel.steps(), {}))  # the last step
     pools = [
         cell
         for cell in cells

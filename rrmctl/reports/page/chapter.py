@@ -6,25 +6,20 @@ import base64
 from collections import Counter, defaultdict
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
 
 from rrmctl.commands import rrmctl
 from rrmctl.errors import UserError
 from rrmctl.reports.captions import title
-from rrmctl.reports.figure_layout import encode
+from rrmctl.reports.figure_layout import Figure, encode
 from rrmctl.reports.figures import figures
 from rrmctl.reports.page import listings
 from rrmctl.reports.page.parts import Column, Part, Picture, Table, identifier
+from rrmctl.reports.report import Report
 from rrmctl.reports.series import Section
 from rrmctl.reports.statistics import Statistics
 from rrmctl.reports.tables import kinds
+from rrmctl.reports.verdicts import Verdict
 from rrmctl.store.snapshot import Run
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
-    from rrmctl.reports.report import Report
-    from rrmctl.reports.verdicts import Verdict
 
 #: Bytes a figure may take as SVG; one with more in it, such as a cloud of points, becomes a PNG.
 MOST_BYTES = 300_000

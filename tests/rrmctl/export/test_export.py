@@ -15,9 +15,8 @@ import pytest
 from typer.testing import CliRunner
 
 from rrmctl.cli.app import app
-from rrmctl.export.bundle import COLUMNS, RUN_COLUMNS, read
+from rrmctl.export.bundle import COLUMNS, OTHER_RUN_COLUMNS, RUN_COLUMNS, read
 from rrmctl.export.formats import formats
-from rrmctl.export.formats.csv import OTHER_RUN_COLUMNS
 from rrmctl.export.formats.tensorboard import run_folder, tag
 from rrmctl.store import load
 from rrmctl.store.layout import Layout

@@ -237,13 +237,6 @@ def test_smoothing_is_a_centred_mean():
     assert smooth(values[:, :2], 5).shape == (4, 2)
 
 
-@pytest.mark.parametrize("window", [0, -1, 4])
-def test_a_window_is_odd(window):
-    """An even window has no centre."""
-    with pytest.raises(ValueError, match="odd number of evaluations"):
-        smooth(np.zeros(5), window)
-
-
 def test_a_profile_is_the_share_of_runs_above():
     """At each score the share of the seeds that end higher, at the last step of all methods."""
     figure = profile(*Sweep().frames(), replicates=100)
