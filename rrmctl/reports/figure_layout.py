@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from rrmctl.errors import UserError
-from rrmctl.reports.captions import absent_notes, title
+from rrmctl.reports.report import absent_notes, title
 from rrmctl.reports.select import sections
 from rrmctl.reports.series import Section
 from rrmctl.reports.statistics import Statistics, Width

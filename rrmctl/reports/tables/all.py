@@ -11,9 +11,9 @@ from collections.abc import Callable, Sequence
 
 from rrmctl.errors import UserError
 from rrmctl.reports import tables
-from rrmctl.reports.captions import facts
-from rrmctl.reports.captions import title as title_of
-from rrmctl.reports.report import Grid, NoDataError, Report
+from rrmctl.reports.columns import Grid
+from rrmctl.reports.report import NoDataError, Report, facts
+from rrmctl.reports.report import title as title_of
 from rrmctl.reports.series import Section
 from rrmctl.reports.statistics import Statistics
 

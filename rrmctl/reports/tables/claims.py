@@ -13,10 +13,9 @@ from collections.abc import Iterator, Sequence
 from typing import Any
 
 from rrmctl.planning.profiles import PAPER
-from rrmctl.reports.captions import contents_notes, merged_facts, statistics_notes, title
 from rrmctl.reports.claims import CLAIMS
-from rrmctl.reports.columns import estimated
-from rrmctl.reports.report import Column, Grid, Report, Row, some, tabled
+from rrmctl.reports.columns import Column, Grid, Row, estimated
+from rrmctl.reports.report import Report, contents_notes, merged_facts, some, statistics_notes, tabled, title
 from rrmctl.reports.series import Section
 from rrmctl.reports.statistics import LEVEL, Statistics
 from rrmctl.reports.verdicts import judge
