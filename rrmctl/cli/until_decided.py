@@ -116,8 +116,8 @@ def _part(plan: Plan, seeds: Iterable[int], pairs: Iterable[Pairing]) -> Plan:
     """The jobs of these seeds that the pairs need, and what those need."""
     from rrmctl.store.sweeps import required
 
-    wanted = {Label(pair.task, method, *asked) for pair in pairs for method in (pair.method, pair.against)
-              for asked in ((pair.teacher, pair.feedback), ())}  # fmt: skip
+    wanted = {Label(pair.task, method, *teaching) for pair in pairs for method in (pair.method, pair.against)
+              for teaching in ((pair.teacher, pair.feedback), ())}  # fmt: skip
     chosen = set(seeds)
     jobs = [job for job in plan.jobs if job.seed in chosen and job.row in wanted]
     needed = required(jobs, plan.everything)

@@ -21,8 +21,6 @@ NOTHING = "–"
 #: What tells one comparison of methods from another.
 COMPARED = ("task", "teacher", "feedback")
 
-#: Row and column.
-Cell = tuple[int, int]
 #: A row of a table: raw values by the name of their column; what is missing is not there, or NaN.
 Row = Mapping[str, Any]
 
@@ -57,7 +55,7 @@ class Grid:
     header: tuple[str, ...]
     rows: tuple[tuple[str, ...], ...]
     words: int = 1  #: so many columns from the left hold names, the others numbers
-    best: frozenset[Cell] = frozenset()  #: (row, column) of what is to be set in bold
+    best: frozenset[tuple[int, int]] = frozenset()  #: (row, column) of what is to be set in bold
 
     def __post_init__(self) -> None:
         assert all(len(row) == len(self.header) for row in self.rows)
@@ -85,9 +83,9 @@ class Grid:
             yield row if first else ("", *row[1:]), last and parted
 
 
-def highest(entries: Iterable[tuple[Cell, Hashable, float]]) -> frozenset[Cell]:
+def highest(entries: Iterable[tuple[tuple[int, int], Hashable, float]]) -> frozenset[tuple[int, int]]:
     """The cells with the greatest number of their group, from (cell, group, number); equals all count, NaN never."""
-    groups: dict[Hashable, dict[Cell, float]] = defaultdict(dict)
+    groups: dict[Hashable, dict[tuple[int, int], float]] = defaultdict(dict)
     for cell, group, value in entries:
         if not math.isnan(value):
             groups[group][cell] = value
@@ -113,10 +111,7 @@ def spread(low: float, high: float, score: ScoreKind, form: str = "[{}, {}]") ->
 
 def plus_minus(value: float, half: float, score: ScoreKind) -> str:
     """The paper's form: a value and half the width of its interval, in percent for success; the value where none is."""
-    if math.isnan(value):
-        return NOTHING
-    middle = number(value, score).removesuffix(" %")
-    return middle if math.isnan(half) else f"{middle} ± {number(half, score).removesuffix(' %')}"
+    return number(value, score).removesuffix(" %") if math.isnan(half) else spread(value, half, score, "{} ± {}")
 
 
 def of_planned(row: Row) -> str:

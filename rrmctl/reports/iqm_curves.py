@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from rrmctl.errors import UserError
-from rrmctl.reports.columns import METHOD, NOTHING, PLACE, QUARTILES, RUNS, SCORE, Column, Row, estimated
+from rrmctl.reports.columns import METHOD, PLACE, QUARTILES, RUNS, SCORE, Column, estimated, step
 from rrmctl.reports.scores import score
 from rrmctl.reports.series import Panel, Section, Series, at_steps
 from rrmctl.reports.statistics import BOOTSTRAP_SEED, DEFAULTS, LEVEL, Statistics
@@ -45,15 +45,11 @@ ALL_TASKS = "success tasks"
 LAST_MARK = "*"
 
 
-def _step(row: Row) -> str:
-    if row["step_rule"] == "each":
-        return NOTHING
-    return f"{row['step']:,}" + (LAST_MARK if row["step_rule"] == "last" else "")
-
-
 #: Of the table.
 COLUMNS = (
-    *PLACE, METHOD, SCORE, Column("step", MAYBE_WHOLE, "Step", _step), Column("step_rule"),
+    *PLACE, METHOD, SCORE,
+    Column("step", MAYBE_WHOLE, "Step", lambda row: step(row) + (LAST_MARK if row["step_rule"] == "last" else "")),
+    Column("step_rule"),
     *estimated("iqm", "IQM", best=True), *QUARTILES, *RUNS, *estimated("auc", "AUC", "auc_", None),
 )  # fmt: skip
 

@@ -137,17 +137,13 @@ def _csv(reports: Sequence[Report]) -> str:
     """
     import pandas as pd
 
-    plain = ("experiment", "profile", "variant")
-    tables = []
+    first, tables = ("experiment", "profile", "variant"), []
     for report in reports:
-        facts = {
-            key: value if isinstance(value, str | int | float) else json.dumps(value)
-            for key, value in report.facts.items()
-        }
-        rest = {key: value for key, value in facts.items() if key not in plain}
+        facts = report.facts | {"schema_version": TEXT_VERSION}
+        texts = {key: fact if isinstance(fact, str | int | float) else json.dumps(fact) for key, fact in facts.items()}
         rows = report.table if len(report.table.columns) else pd.DataFrame(index=[0])
-        table = rows.assign(**facts, schema_version=TEXT_VERSION)
-        tables.append(table[[*plain, *report.table.columns, *rest, "schema_version"]])
+        table = rows.assign(**texts)
+        tables.append(table[[*first, *(name for name in table.columns if name not in first)]])
     text: str = pd.concat(tables, ignore_index=True).to_csv(index=False, lineterminator="\n")
     return text
 

@@ -7,6 +7,7 @@ import math
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from itertools import groupby
 from typing import TYPE_CHECKING, Any
 
 from rrmctl.errors import UserError
@@ -114,10 +115,8 @@ def title(section: Section, name: str | None = None) -> str:
     if section.profile == "smoke":
         text += " (machinery only, not results)"
     if section.overrides:
-        words = {
-            key: value if isinstance(value, str) else json.dumps(value) for key, value in section.overrides.items()
-        }
-        text += " · " + ", ".join(f"{key}={value}" for key, value in words.items())
+        texts = (value if isinstance(value, str) else json.dumps(value) for value in section.overrides.values())
+        text += " · " + ", ".join(map("{}={}".format, section.overrides, texts))
     return text
 
 
@@ -158,12 +157,8 @@ def absent_notes(section: Section, *, short: bool = False) -> Iterator[str]:
 
 def _seeds(seeds: Sequence[int]) -> str:
     """`seed 3`, `seeds 0, 3`, `seeds 0-9`."""
-    runs: list[list[int]] = []
-    for seed in sorted(seeds):
-        if runs and seed == runs[-1][-1] + 1:
-            runs[-1].append(seed)
-        else:
-            runs.append([seed])
+    by_distance = groupby(enumerate(sorted(seeds)), lambda numbered: numbered[1] - numbered[0])
+    runs = [[seed for _, seed in run] for _, run in by_distance]  # of seeds that follow one another
     parts = (f"{run[0]}-{run[-1]}" if len(run) > 2 else ", ".join(map(str, run)) for run in runs)
     return f"seed{'s' if len(seeds) > 1 else ''} {', '.join(parts)}"
 
@@ -172,7 +167,6 @@ _KIND_IN_WORDS = {
     "rliable": "rliable's (the lowest and highest quarter of the runs are dropped, rounded down to whole runs)",
     "exact": "exact (fractional weights: half of the runs count, the two at the quartiles by the share inside)",
 }
-
 
 #: Fewest and most of hundred 95 % percentile intervals of an IQM that hold the true one, for so many seeds, over scores
 #: that are normal, even, lopsided or in two heaps; measured, see tests/rrmctl/reports/test_coverage.py.
@@ -183,8 +177,6 @@ def _covered(counts: Iterable[int]) -> str:
     return ", ".join(f"{COVERAGE[n][0]}-{COVERAGE[n][1]} % with {n}" for n in counts)
 
 
-#: Seeds from which on an interval covers about what its name says.
-_ENOUGH = 10
 _USUAL_EVALUATION = "10 episodes an evaluation, success at any step of an episode, deterministic policy"
 
 #: What holds of every table, unless a note below it says otherwise.
@@ -206,7 +198,8 @@ def statistics_notes(section: Section, settings: Statistics) -> Iterator[str]:
         yield f"IQM: {_KIND_IN_WORDS[settings.kind]}."
     if settings.replicates != REPLICATES:
         yield f"Intervals: {settings.replicates:,} replicates."
-    counts = {series.n for series in section.series if min(COVERAGE) <= series.n < _ENOUGH}
+    # With ten seeds an interval covers about what its name says.
+    counts = {series.n for series in section.series if min(COVERAGE) <= series.n < 10}
     if counts:
         measured = sorted({max(n for n in COVERAGE if n <= count) for count in counts})
         yield f"A {SURE} interval of so few seeds holds the truth less often: about {_covered(measured)}."

@@ -26,9 +26,6 @@ from rrmctl.stats import MIN_RUNS, Estimate, Floats
 
 Verdict = Literal["held", "not held", "not enough data"]
 
-#: Profiles whose numbers are no results.
-_UNJUDGED = ("smoke",)
-
 
 @dataclass(frozen=True)
 class Finding:
@@ -37,7 +34,7 @@ class Finding:
     test: Test
     task: str  #: or several, pooled
     unit: Unit = "success"
-    found: Estimate | None = None  #: of the arm, or of the difference; None where there is no data
+    estimate: Estimate | None = None  #: of the arm, or of the difference; None where there is no data
     verdict: Verdict = "not enough data"
     margin: float = -math.inf  #: by how much the interval is on the claim's side, below zero where it is not
     why: str = ""  #: where there is not enough data, what is missing
@@ -87,13 +84,13 @@ def _finding(test: Test, tasks: Sequence[str], section: Section, rivals: int, se
         for stream, values in enumerate(zip(*read, strict=True), start=1)
     ]
     measured = scores[0] - scores[1] if len(scores) > 1 else scores[0]
-    found = measured.estimate()
-    what = (test, ", ".join(tasks), test.reading.unit or series[0].score, found)
-    if section.profile in _UNJUDGED:
+    estimate = measured.estimate()
+    what = (test, ", ".join(tasks), test.reading.unit or series[0].score, estimate)
+    if section.profile == "smoke":
         return Finding(*what, why=f"profile {section.profile} is no result")
     if np.isnan(measured.draws).all():
-        return Finding(*what, why=f"{found.n} seeds; an interval needs {MIN_RUNS}")
-    (worst, _), (_, best) = _beyond(test, found), _beyond(test, measured.estimate(1 - (1 - LEVEL) / rivals))
+        return Finding(*what, why=f"{estimate.n} seeds; an interval needs {MIN_RUNS}")
+    (worst, _), (_, best) = _beyond(test, estimate), _beyond(test, measured.estimate(1 - (1 - LEVEL) / rivals))
     on_bound = test.relation == "at least"  # a value on the bound is on the claim's side
     if worst > 0 or (on_bound and worst == 0):
         return Finding(*what, "held", worst)
@@ -102,9 +99,9 @@ def _finding(test: Test, tasks: Sequence[str], section: Section, rivals: int, se
     return Finding(*what, "not enough data", worst, "the interval allows both")
 
 
-def _beyond(test: Test, found: Estimate) -> tuple[float, float]:
+def _beyond(test: Test, estimate: Estimate) -> tuple[float, float]:
     """By how much the interval's ends are on the claim's side, the worse one first."""
-    bound, low, high = 0.0 if isinstance(test.than, Arm) else test.than, float(found.low), float(found.high)
+    bound, low, high = 0.0 if isinstance(test.than, Arm) else test.than, float(estimate.low), float(estimate.high)
     return (bound - high, bound - low) if test.relation == "below" else (low - bound, high - bound)
 
 

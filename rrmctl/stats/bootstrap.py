@@ -15,7 +15,7 @@ is not finite, no replicates, or a level that is not between 0 and 1.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from statistics import NormalDist
 from typing import Literal, get_args
@@ -128,19 +128,20 @@ def resample(
     picks = [rng.integers(size, size=(replicates, size), dtype=np.int32) for size in sizes]
     if isinstance(statistic, Iqm):  # from how often each replicate drew each run; a count takes a byte or two, copied
         scores, counts, kind = np.concatenate(runs, axis=-1), count_draws(picks), statistic.kind
-        length = max(1, chunk_bytes // (4 * len(counts)))
-        parts = [iqm_replicates(scores, counts[:, chunk], kind) for chunk in _chunks(replicates, length)]
+        size = 4 * len(counts)
+
+        def part(chunk: slice) -> Floats:
+            return iqm_replicates(scores, counts[:, chunk], kind)
     else:
-        length = max(1, chunk_bytes // (8 * sum(stratum.size for stratum in runs)))
-        parts = []
-        for chunk in _chunks(replicates, length):
+        size = 8 * sum(stratum.size for stratum in runs)
+
+        def part(chunk: slice) -> Floats:
             drawn = [np.take(stratum, pick[chunk], axis=-1) for stratum, pick in zip(runs, picks, strict=True)]
-            parts.append(statistic(np.concatenate(drawn, axis=-1)))
+            return statistic(np.concatenate(drawn, axis=-1))
+
+    length = max(1, chunk_bytes // size)
+    parts = [part(slice(start, start + length)) for start in range(0, replicates, length)]
     return np.moveaxis(np.concatenate(parts, axis=-1), -1, 0)
-
-
-def _chunks(replicates: int, length: int) -> Iterator[slice]:
-    return (slice(start, start + length) for start in range(0, replicates, length))
 
 
 def _runs_last(strata: Sequence[npt.ArrayLike]) -> list[Floats]:

@@ -36,7 +36,7 @@ def difference(
     if paired and any(a != b for a, b in sizes):
         raise ValueError("paired runs come in pairs: both methods need the same seeds on every task")
     both = (ours, theirs)
-    point, other = (statistic(np.concatenate([checked(each, axis=0) for each in runs], axis=-1)) for runs in both)
+    point, other = (statistic(np.concatenate([checked(task, axis=0) for task in runs], axis=-1)) for runs in both)
     draws = None
     if interval_possible([size for pair in sizes for size in pair]):
         seeds = rng.integers(2**63, size=2)
@@ -82,8 +82,8 @@ def improvement(
 def _wins(ours: Strata, theirs: Strata) -> list[Floats]:
     """Of each task, 1 where the run of ours [row] beats that of theirs [column], 1/2 where they are level: [S, S']."""
     _sizes(ours, theirs)
-    pairs = [[checked(each, axis=0) for each in pair] for pair in zip(ours, theirs, strict=True)]
-    if any(each.ndim != 1 for pair in pairs for each in pair):
+    pairs = [[checked(scores, axis=0) for scores in pair] for pair in zip(ours, theirs, strict=True)]
+    if any(scores.ndim != 1 for pair in pairs for scores in pair):
         raise ValueError("runs are compared by one score each")
     return [np.asarray((np.sign(a[:, None] - b) + 1.0) / 2.0) for a, b in pairs]
 

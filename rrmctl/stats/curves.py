@@ -94,8 +94,8 @@ def performance_profile(
         strata: for each task one score a run, [S].
         thresholds: [T], finite, as are the arrays of the result.
     """
-    levels, runs = checked(thresholds, axis=0), [checked(each, axis=0) for each in strata]
-    if levels.ndim != 1 or any(each.ndim != 1 for each in runs):
+    levels, runs = checked(thresholds, axis=0), [checked(scores, axis=0) for scores in strata]
+    if levels.ndim != 1 or any(scores.ndim != 1 for scores in runs):
         raise ValueError("a profile needs a list of thresholds and one score for each run")
-    above = [each[:, None] > levels for each in runs]
+    above = [scores[:, None] > levels for scores in runs]
     return bootstrap(above, partial(mean, axis=-1), rng=rng, replicates=replicates, level=level)

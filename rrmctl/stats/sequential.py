@@ -91,7 +91,7 @@ def sequential_test(comparisons: Sequence[Comparison], design: Design) -> list[S
     tested = [_Tested(comparison, design) for comparison in comparisons]
     verdicts: dict[int, Standing] = {}
     for looks in range(1, design.looks + 1):
-        left = [at for at, each in enumerate(tested) if at not in verdicts and each.looks >= looks]
+        left = [at for at, one in enumerate(tested) if at not in verdicts and one.looks >= looks]
         for _ in comparisons:  # one that is decided leaves the others a larger share of the level
             level = design.alpha / max(1, len(tested) - sum(verdict.separated for verdict in verdicts.values()))
             for at in list(left):
@@ -102,9 +102,7 @@ def sequential_test(comparisons: Sequence[Comparison], design: Design) -> list[S
                     left.remove(at)
         if looks == design.looks:
             verdicts |= {at: Standing("equal", looks, tested[at].difference(looks)) for at in left}
-    return [
-        verdicts.get(at, Standing("open", each.looks, each.difference(each.looks))) for at, each in enumerate(tested)
-    ]
+    return [verdicts.get(at, Standing("open", one.looks, one.difference(one.looks))) for at, one in enumerate(tested)]
 
 
 def boundaries(statistics: Sequence[Floats], looks: int, level: float) -> tuple[list[float], npt.NDArray[np.int64]]:
@@ -231,7 +229,7 @@ def outlook(
     return Outlook(share=float(np.isfinite(ends).mean()), more=more)
 
 
-def _future(known: Floats, seeds: int, rng: np.random.Generator) -> Floats:
+def _future(scores: Floats, seeds: int, rng: np.random.Generator) -> Floats:
     """The runs so far and those to come, as many as there may be at most."""
-    truth = rng.choice(known, len(known))
-    return np.concatenate([known, rng.choice(truth, max(0, seeds - len(known)))])
+    truth = rng.choice(scores, len(scores))
+    return np.concatenate([scores, rng.choice(truth, max(0, seeds - len(scores)))])

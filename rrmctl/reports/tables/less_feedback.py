@@ -47,7 +47,7 @@ COLUMNS = (
 
 
 def make(sections: Sequence[Section], settings: Statistics) -> list[Report]:
-    """A table for each section in which a task is asked by several schedules."""
+    """A table for each section in which a task is key by several schedules."""
     reports = []
     for section in sections:
         if tasks := _asking(section):
@@ -88,9 +88,9 @@ def _rows(tasks: Sequence[Sequence[Panel]], settings: Statistics) -> list[dict[s
                     everywhere[panel.teacher, panel.feedback, series.label.method].append((read[series], series))
     together = []
     if len(tasks) > 1 and {row["score"] for row in rows} == {"success"}:
-        for asked, members in everywhere.items():
+        for key, members in everywhere.items():
             if len(members) == len(tasks):
-                row = dict(zip(("teacher", "feedback", "method"), asked, strict=True))
+                row = dict(zip(("teacher", "feedback", "method"), key, strict=True))
                 row |= {name: sum(getattr(series, name) for _, series in members) for name in ("n", "planned")}
                 mean = score([values for values, _ in members], settings).estimate().row("mean_iqm")
                 together.append({"task": EVERY_TASK, "score": "success", **row, **mean})
