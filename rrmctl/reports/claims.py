@@ -114,11 +114,11 @@ def read_claims(content: Mapping[str, Any]) -> tuple[Claim, ...]:
         for entry in claim["tests"]:
             relations: list[Relation] = [name for name in get_args(Relation) if name in entry]
             if len(relations) != 1 or entry.keys() != {"arms", "reading", *relations}:
-                raise ValueError(f"{PATH.name}: a test has arms, a reading, one of {get_args(Relation)}; not {entry}")
+                kinds = get_args(Relation)
+                raise ValueError(f"{PATH.name}: a test has arms, a reading and one of {kinds}, not {entry}")
             (relation,) = relations
             for than in map(Arm.of, entry[relation]) if relation == "above" else [entry[relation]]:
-                arms = map(Arm.of, entry["arms"])
-                tests += [Test(arm, relation, than, readings[entry["reading"]]) for arm in arms]
+                tests += [Test(Arm.of(words), relation, than, readings[entry["reading"]]) for words in entry["arms"]]
         claims.append(Claim(**claim | {"tests": tuple(tests)}))
     return tuple(claims)
 

@@ -33,8 +33,7 @@ For a test.
 import pandas as pd
 
 from rrmctl.reports.columns import Grid
-from rrmctl.reports.report import Report
-from rrmctl.reports.report import facts, title
+from rrmctl.reports.report import Report, facts, title
 
 EXPERIMENT = None
 {options}
