@@ -17,10 +17,17 @@ from rrmctl.labels import Label
 
 if TYPE_CHECKING:
     from rrmctl.planning.plan import Plan
-    from rrmctl.reports.pairwise import Contest, Contests
     from rrmctl.store.layout import Layout
     from rrmctl.store.sweeps import SweepRecord
-    from rrmctl.store.trials import Pairing, Trial
+    from rrmctl.store.trials import Pairing
+
+#: In words, after so many seeds.
+_DECISIONS = {
+    "larger": "better, decided by the first {} seeds",
+    "smaller": "worse, decided by the first {} seeds",
+    "equal": "not separated by {} seeds",
+    "open": "open",
+}
 
 
 @dataclass(frozen=True)
@@ -64,7 +71,9 @@ def until_decided(
     that ended. Returned is how the last part ended, and the record of what was run. Refused: nothing to compare, or
     other rules than those of the test that was begun on these runs.
     """
-    from rrmctl.reports.pairwise import against
+    from rrmctl.reports.columns import number
+    from rrmctl.reports.pairwise import against, decide
+    from rrmctl.reports.select import read_sections
     from rrmctl.stats import Design
     from rrmctl.store.status import statuses
     from rrmctl.store.trials import Trial, begin_trial
@@ -82,10 +91,20 @@ def until_decided(
         if code is not Exit.DONE or not done:  # runs that failed before are not tried again unasked
             tell("Nothing more is decided before these runs are done; the same command goes on.")
             break
-        contests = _look(layout, plan, trial, here)
+        sections = read_sections(layout.root, plan.experiment)
+        (section,) = (section for section in sections if section.variant == plan.variant)
+        contests = decide(section.accepted(), trial, seeds=here)
+        for contest in contests.open:
+            if contest.verdict.looks * trial.group < len(here):
+                raise UserError(
+                    f"{contest.pair}: a run is done, but cannot be scored",
+                    f"`{rrmctl('report', 'power', plan.experiment, results=layout.root)}` says which and why",
+                )
         tell(f"Look {look} of {trial.looks}, after {len(here)} seeds:")
         for contest in contests.all:
-            tell(f"  {_name(contest.pair)}: {_said(contest, trial.group)}")
+            decision = _DECISIONS[contest.verdict.decision].format(contest.verdict.looks * trial.group)
+            apart = number(contest.verdict.difference, contest.score)
+            tell(f"  {contest.pair}: {decision}; mean score over training differs by {apart}")
         left = [contest.pair for contest in contests.open]
         if not left:
             break
@@ -97,45 +116,9 @@ def _part(plan: Plan, seeds: Iterable[int], pairs: Iterable[Pairing]) -> Plan:
     """The jobs of these seeds that the pairs need, and what those need."""
     from rrmctl.store.sweeps import required
 
-    wanted = {Label(pair.task, method, *asked) for pair in pairs for method in (pair.method, pair.against)
-              for asked in ((pair.teacher, pair.feedback), ())}  # fmt: skip
+    wanted = {Label(pair.task, method, *teaching) for pair in pairs for method in (pair.method, pair.against)
+              for teaching in ((pair.teacher, pair.feedback), ())}  # fmt: skip
     chosen = set(seeds)
     jobs = [job for job in plan.jobs if job.seed in chosen and job.row in wanted]
     needed = required(jobs, plan.everything)
     return replace(plan, jobs=tuple(jobs), needed=tuple(job for job in plan.needed if job.id in needed))
-
-
-def _look(layout: Layout, plan: Plan, trial: Trial, seeds: list[int]) -> Contests:
-    """Where the comparisons stand with these seeds; refused where a run is done and has no score."""
-    from rrmctl.reports.pairwise import decide
-    from rrmctl.reports.select import read_sections
-
-    sections = read_sections(layout.root, plan.experiment)
-    (section,) = (section for section in sections if section.variant == plan.variant)
-    contests = decide(section.accepted(), trial, seeds=seeds)
-    for contest in contests.open:
-        if contest.verdict.looks * trial.group < len(seeds):
-            raise UserError(
-                f"{_name(contest.pair)}: a run is done, but cannot be scored",
-                f"`{rrmctl('report', 'power', plan.experiment, results=layout.root)}` says which and why",
-            )
-    return contests
-
-
-def _name(pair: Pairing) -> str:
-    where = Label(pair.task, pair.method, pair.teacher, pair.feedback).place
-    return f"{where}, {pair.method} against {pair.against}"
-
-
-def _said(contest: Contest, group: int) -> str:
-    from rrmctl.reports.columns import number
-
-    verdict, seeds = contest.verdict, contest.verdict.looks * group
-    words = {
-        "larger": f"better, decided by the first {seeds} seeds",
-        "smaller": f"worse, decided by the first {seeds} seeds",
-        "equal": f"not separated by {seeds} seeds",
-        "open": "open",
-    }
-    apart = number(verdict.difference, contest.score)
-    return f"{words[verdict.decision]}; mean score over training differs by {apart}"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import tomllib
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Literal, NamedTuple, get_args
 
@@ -47,9 +47,6 @@ class Arm(NamedTuple):
         budget = (1.0, share) if match["field"] == "every" else (share, 1.0)
         return cls(words, match[1], match["teacher"], budget if match["field"] or match["full"] else None)
 
-    def __str__(self) -> str:
-        return self.words
-
 
 @dataclass(frozen=True, kw_only=True, config=_STRICT)
 class Reading:
@@ -87,9 +84,9 @@ class Test:
 
     def __str__(self) -> str:
         if isinstance(self.than, Arm):
-            return f"{self.arm} {self.relation} {self.than}"
+            return f"{self.arm.words} {self.relation} {self.than.words}"
         bound = f"{self.than:g}" if self.reading.unit == "return" else f"{100 * self.than:g} %"
-        return f"{self.arm} {self.relation} {bound}"
+        return f"{self.arm.words} {self.relation} {bound}"
 
 
 @dataclass(frozen=True, kw_only=True, config=_STRICT)
@@ -106,29 +103,24 @@ class Claim:
 
 
 def read_claims(content: Mapping[str, Any]) -> tuple[Claim, ...]:
-    """The claims of a file like `claims.toml`.
+    """The claims of a file like `claims.toml`; a ValueError or KeyError says what it lacks or has too much.
 
-    Raises:
-        ValueError: it holds what a claim has not, or lacks what it has.
-        KeyError: a reading is not there.
+    An entry of a claim's `tests` stands for comparisons of each arm with each of the others, or with the bound.
     """
     readings = {name: Reading(**reading) for name, reading in content["readings"].items()}
     claims = []
     for claim in content["claims"]:
-        tests = tuple(test for entry in claim["tests"] for test in _tests(entry, readings))
-        claims.append(Claim(**claim | {"tests": tests}))
+        tests = []
+        for entry in claim["tests"]:
+            relations: list[Relation] = [name for name in get_args(Relation) if name in entry]
+            if len(relations) != 1 or entry.keys() != {"arms", "reading", *relations}:
+                kinds = get_args(Relation)
+                raise ValueError(f"{PATH.name}: a test has arms, a reading and one of {kinds}, not {entry}")
+            (relation,) = relations
+            for than in map(Arm.of, entry[relation]) if relation == "above" else [entry[relation]]:
+                tests += [Test(Arm.of(words), relation, than, readings[entry["reading"]]) for words in entry["arms"]]
+        claims.append(Claim(**claim | {"tests": tuple(tests)}))
     return tuple(claims)
-
-
-def _tests(entry: Mapping[str, Any], readings: Mapping[str, Reading]) -> Iterator[Test]:
-    """The comparisons of one entry of a claim's `tests`: of each arm with each of the others, or with the bound."""
-    relations: list[Relation] = [name for name in get_args(Relation) if name in entry]
-    if len(relations) != 1 or entry.keys() != {"arms", "reading", *relations}:
-        raise ValueError(f"{PATH.name}: a test has arms, a reading and one of {get_args(Relation)}, not {entry}")
-    (relation,) = relations
-    for than in map(Arm.of, entry[relation]) if relation == "above" else [entry[relation]]:
-        for words in entry["arms"]:
-            yield Test(Arm.of(words), relation, than, readings[entry["reading"]])
 
 
 CLAIMS = read_claims(tomllib.loads(PATH.read_text(encoding="utf-8")))

@@ -17,7 +17,7 @@ import numpy as np
 import pandas as pd
 
 from rrmctl.errors import UserError
-from rrmctl.reports.captions import absent_notes, title
+from rrmctl.reports.report import absent_notes, title
 from rrmctl.reports.select import sections
 from rrmctl.reports.series import Section
 from rrmctl.reports.statistics import Statistics, Width

@@ -16,8 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from rrmctl.errors import UserError
-from rrmctl.reports.columns import METHOD, PLACE, QUARTILES, RUNS, SCORE, estimated
-from rrmctl.reports.report import NOTHING, Column, Row
+from rrmctl.reports.columns import METHOD, PLACE, QUARTILES, RUNS, SCORE, Column, estimated, step
 from rrmctl.reports.scores import score
 from rrmctl.reports.series import Panel, Section, Series, at_steps
 from rrmctl.reports.statistics import BOOTSTRAP_SEED, DEFAULTS, LEVEL, Statistics
@@ -46,15 +45,11 @@ ALL_TASKS = "success tasks"
 LAST_MARK = "*"
 
 
-def _step(row: Row) -> str:
-    if row["step_rule"] == "each":
-        return NOTHING
-    return f"{row['step']:,}" + (LAST_MARK if row["step_rule"] == "last" else "")
-
-
 #: Of the table.
 COLUMNS = (
-    *PLACE, METHOD, SCORE, Column("step", MAYBE_WHOLE, "Step", _step), Column("step_rule"),
+    *PLACE, METHOD, SCORE,
+    Column("step", MAYBE_WHOLE, "Step", lambda row: step(row) + (LAST_MARK if row["step_rule"] == "last" else "")),
+    Column("step_rule"),
     *estimated("iqm", "IQM", best=True), *QUARTILES, *RUNS, *estimated("auc", "AUC", "auc_", None),
 )  # fmt: skip
 
@@ -74,22 +69,21 @@ class Curve:
 def curves(section: Section, settings: Statistics = DEFAULTS) -> Mapping[Series, Curve]:
     """The curve of every series that has a run."""
     panels = [panel for panel in section.panels() if panel.comparable()]
-    own = {series: [panel for panel in panels if series in panel.series] for series in section.series if series.n}
-    return {series: _curve(series, where, settings) for series, where in own.items()}
-
-
-def _curve(series: Series, panels: Sequence[Panel], settings: Statistics) -> Curve:
-    point, draws, areas = iqm(series.values, settings.kind, axis=0), None, {}
-    if interval_possible([series.n]):
-        rng = np.random.default_rng(BOOTSTRAP_SEED)
-        draws = resample([series.values], Iqm(settings.kind), rng=rng, replicates=settings.replicates)
-    for panel in panels:
-        steps = panel.steps()
-        where = np.searchsorted(series.steps, steps)
-        drawn = None if draws is None else area_under_curve(steps, draws[:, where])
-        area = area_under_curve(steps, point[where])
-        areas[panel.teacher, panel.feedback] = estimate(area, drawn, n=series.n, level=LEVEL)
-    return Curve(estimate(point, draws, n=series.n, level=LEVEL), *quartiles(series.values, axis=0), areas)
+    by_series = {}
+    for series in (series for series in section.series if series.n):
+        point, draws, areas = iqm(series.values, settings.kind, axis=0), None, {}
+        if interval_possible([series.n]):
+            rng = np.random.default_rng(BOOTSTRAP_SEED)
+            draws = resample([series.values], Iqm(settings.kind), rng=rng, replicates=settings.replicates)
+        for panel in (panel for panel in panels if series in panel.series):
+            steps = panel.steps()
+            where = np.searchsorted(series.steps, steps)
+            drawn = None if draws is None else area_under_curve(steps, draws[:, where])
+            area = area_under_curve(steps, point[where])
+            areas[panel.teacher, panel.feedback] = estimate(area, drawn, n=series.n, level=LEVEL)
+        whole = estimate(point, draws, n=series.n, level=LEVEL)
+        by_series[series] = Curve(whole, *quartiles(series.values, axis=0), areas)
+    return by_series
 
 
 def curve_table(section: Section, settings: Statistics = DEFAULTS) -> pd.DataFrame:
@@ -108,9 +102,8 @@ def curve_table(section: Section, settings: Statistics = DEFAULTS) -> pd.DataFra
 def write_curves(layout: Layout, sections: Sequence[Section], settings: Statistics = DEFAULTS) -> None:
     """Replace the files of all experiments in `sections`, each as a whole.
 
-    Raises:
-        UserError: some hold runs that do not belong together, which a file has no room to say; theirs stay as they are.
-        StorageError: the results folder takes no write; the old files are untouched.
+    A UserError names those that hold runs that do not belong together, which a file has no room to say; theirs stay as
+    they are.
     """
     import pandas as pd
     import pyarrow as pa
@@ -139,23 +132,19 @@ def iqm_table(section: Section, settings: Statistics = DEFAULTS) -> pd.DataFrame
 
 def iqm_rows(section: Section, settings: Statistics) -> list[dict[str, Any]]:
     """Its rows; what is missing is not there."""
-    panels, by_series = section.panels(), curves(section, settings)
-    rows = [row for panel in panels for row in _panel_rows(panel, by_series)]
+    panels, by_series, rows = section.panels(), curves(section, settings), []
+    for panel in panels:
+        read = panel.read_at()
+        rule = "final" if panel.score == "return" else "first" if read.reached else "last"
+        for series in panel.series:
+            rows.append(panel.row(series) | {"step": read.step, "step_rule": rule})
+            if series in by_series:
+                curve = by_series[series]
+                at, area = int(np.searchsorted(series.steps, read.step)), curve.areas[panel.teacher, panel.feedback]
+                here = {"iqm": curve.iqm.estimate, "low": curve.iqm.low, "high": curve.iqm.high}
+                here |= {"q25": curve.q25, "q75": curve.q75}
+                rows[-1] |= {name: float(values[at]) for name, values in here.items()} | area.row("auc", "auc_")
     return rows + [row for group in across_tasks(panels) for row in _group_rows(group, settings)]
-
-
-def _panel_rows(panel: Panel, by_series: Mapping[Series, Curve]) -> Iterator[dict[str, Any]]:
-    read = panel.read_at()
-    rule = "final" if panel.score == "return" else "first" if read.reached else "last"
-    for series in panel.series:
-        row = panel.row(series) | {"step": read.step, "step_rule": rule}
-        if series in by_series:
-            curve = by_series[series]
-            at, area = int(np.searchsorted(series.steps, read.step)), curve.areas[panel.teacher, panel.feedback]
-            here = {"iqm": curve.iqm.estimate, "low": curve.iqm.low, "high": curve.iqm.high}
-            row |= {name: float(values[at]) for name, values in (here | {"q25": curve.q25, "q75": curve.q75}).items()}
-            row |= area.row("auc", "auc_")
-        yield row
 
 
 def across_tasks(panels: Sequence[Panel]) -> list[list[Panel]]:

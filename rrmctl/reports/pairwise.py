@@ -7,7 +7,7 @@ and a run that was not a number at one of them has none.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable
+from collections.abc import Collection, Iterable, Iterator
 from dataclasses import dataclass, replace
 from itertools import combinations, takewhile
 
@@ -105,14 +105,15 @@ def decide(section: Section, trial: Trial | None, *, seeds: Collection[int] | No
     return Contests(design, tuple(Contest(*side, verdict) for side, verdict in zip(sides, verdicts, strict=True)))
 
 
-def without_score(series: Series) -> list[str]:
-    """The finished runs of a series that cannot be compared by this number, and why not."""
-    rows = series.rows[~np.isfinite(series.rows[SCORE_COLUMN[series.score]])] if series.finished else series.rows[:0]
-    return [
-        f"{series.label}: run {run} (seed {seed}) is not compared: {SCORE_COLUMN[series.score]} is not a number at "
-        f"{len(own)} of its evaluations (first at step {own['step'].min():,})"
-        for (seed, run), own in rows.groupby(["seed", "run"])
-    ]
+def without_score(section: Section) -> Iterator[str]:
+    """The finished runs that cannot be compared by this number, and why not."""
+    for series in (series for series in section.series if series.finished):
+        column = SCORE_COLUMN[series.score]
+        for (seed, run), lacking in series.rows[~np.isfinite(series.rows[column])].groupby(["seed", "run"]):
+            yield (
+                f"{series.label}: run {run} (seed {seed}) is not compared: {column} is not a number at "
+                f"{len(lacking)} of its evaluations (first at step {lacking['step'].min():,})"
+            )
 
 
 def _pair(method: Label, other: Label) -> Pairing:

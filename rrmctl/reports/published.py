@@ -4,21 +4,21 @@ from __future__ import annotations
 
 import math
 import tomllib
-from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
+
+from rrm.envs.tasks import ScoreKind
 
 PATH = Path(__file__).with_suffix(".toml")
 _VALUES = tomllib.loads(PATH.read_text(encoding="utf-8"))
 
 
-@dataclass(frozen=True)
-class Checkpoint:
+class Checkpoint(NamedTuple):
     """A published evaluation on the physical robot."""
 
     step: int
     share: float  #: of the whole training
-    success: float  #: fraction
-    true_return: float
+    scores: dict[ScoreKind, float]  #: success as a fraction
 
 
 def source(table: str) -> str:
@@ -45,5 +45,7 @@ def checkpoints(task: str, method: str) -> list[Checkpoint]:
     table = _VALUES["sim-to-real"][task]
     steps, missing = table["steps"], [math.nan] * len(table["steps"])
     own = table.get(method, {"success": missing, "return": missing})
-    values = zip(steps, own["success"], own["return"], strict=True)
-    return [Checkpoint(step, step / table["length"], success / 100, value) for step, success, value in values]
+    return [
+        Checkpoint(step, step / table["length"], {"success": success / 100, "return": value})
+        for step, success, value in zip(steps, own["success"], own["return"], strict=True)
+    ]

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import io
 import json
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import TYPE_CHECKING
 
@@ -18,7 +18,8 @@ from rrmctl.terminal import console
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from rrmctl.reports.report import Grid, Report
+    from rrmctl.reports.columns import Grid
+    from rrmctl.reports.report import Report
 
 #: Of the JSON document and the CSV columns; raised by one when one is added, removed, or changes its meaning.
 TEXT_VERSION = 2
@@ -41,7 +42,7 @@ def print_terminal(reports: Sequence[Report], console: Console) -> None:
             # Names fold first; numbers only where even the narrowest of terminals leaves no choice.
             whole = not text and console.width >= _USUAL
             table.add_column(name, justify="left" if text else "right", overflow="fold", no_wrap=whole)
-        for at, (row, last) in enumerate(zip(grid.named_once(), grid.ends(), strict=True)):
+        for at, (row, last) in enumerate(grid.grouped()):
             styles = ["bold" if (at, column) in grid.best else "" for column in range(len(row))]
             table.add_row(*map(Text, row, styles), end_section=last)
         console.print(Text(report.title, style="bold"))
@@ -70,37 +71,31 @@ def _markdown(reports: Sequence[Report]) -> str:
     for report in reports:
         grid = report.grid
         rule = [":--" if column < grid.words else "--:" for column in range(len(grid.header))]
-        body = _cells(grid, grid.rows, _cell, "**{}**")
-        lines = ["| " + " | ".join(row) + " |" for row in (map(_cell, grid.header), rule, *body)]
-        notes = [f"- {_escape(note, '*_')}" for note in report.notes]
+        body = (_cells(grid, at, row, _CELL, "**{}**") for at, row in enumerate(grid.rows))
+        lines = [
+            "| " + " | ".join(row) + " |" for row in ([name.translate(_CELL) for name in grid.header], rule, *body)
+        ]
+        notes = [f"- {note.translate(_PROSE)}" for note in report.notes]
         table = [*lines, ""] if grid.rows else []
-        parts.append("\n".join([f"### {_escape(report.title, '*_')}", "", *table, *notes]).rstrip())
+        parts.append("\n".join([f"### {report.title.translate(_PROSE)}", "", *table, *notes]).rstrip())
     return "\n\n".join(parts) + "\n"
 
 
-def _cells(grid: Grid, rows: Sequence[Sequence[str]], escape: Callable[[str], str], bold: str) -> Iterator[list[str]]:
-    """The rows with every cell escaped, and the best ones in bold."""
-    for at, row in enumerate(rows):
-        cells = enumerate(map(escape, row))
-        yield [bold.format(cell) if (at, column) in grid.best else cell for column, cell in cells]
+def _cells(grid: Grid, at: int, row: Sequence[str], signs: dict[int, str], bold: str) -> list[str]:
+    """A row with every cell escaped, and the best ones in bold."""
+    cells = enumerate(text.translate(signs) for text in row)
+    return [bold.format(cell) if (at, column) in grid.best else cell for column, cell in cells]
 
 
-def _escape(text: str, signs: str) -> str:
-    for sign in signs:
-        text = text.replace(sign, f"\\{sign}")
-    return text
+_CELL, _PROSE = (str.maketrans({sign: f"\\{sign}" for sign in signs}) for signs in ("\\|*_", "*_"))
 
-
-_cell = partial(_escape, signs="\\|*_")
-
-_TEX = {
+_TEX = str.maketrans({
     "\\": r"\textbackslash{}", "&": r"\&", "%": r"\%", "$": r"\$", "#": r"\#", "_": r"\_", "{": r"\{", "}": r"\}",
     "~": r"\textasciitilde{}", "^": r"\textasciicircum{}", "<": r"\textless{}", ">": r"\textgreater{}", "–": "--",
     "|": r"\textbar{}", '"': "''",
     "−": "$-$", "±": r"$\pm$", "≥": r"$\ge$", "≤": r"$\le$", "×": r"$\times$",
     "·": r"\textperiodcentered{}",
-}  # fmt: skip
-
+})  # fmt: skip
 
 #: What a document has to load for the tables.
 LATEX_PACKAGES = ("booktabs", "graphicx", "longtable")
@@ -110,34 +105,22 @@ _FLOATING, _LETTERS, _FOLDED, _WEIGHTS = 30, 14, 0.62, (34, 60)
 
 
 def _latex(reports: Sequence[Report]) -> str:
-    r"""Tables for a document that loads the packages `LATEX_PACKAGES`; none is wider than the text."""
-    needs = f"% \\usepackage{{{','.join(LATEX_PACKAGES)}}}"
-    return "\n\n".join([needs, *("\n".join(_latex_lines(report)) for report in reports)]) + "\n"
+    from jinja2 import Environment, PackageLoader, StrictUndefined
 
-
-def _latex_lines(report: Report) -> Iterator[str]:
-    grid, caption, notes = report.grid, _tex(report.title), _tex(" ".join(report.notes))
-    yield f"% {json.dumps(report.facts, sort_keys=True)}"
-    if not grid.rows:
-        yield from (rf"\paragraph{{{caption}}}", notes)
-        return
-    long = len(grid.rows) > _FLOATING
-    words = _folding(grid) if long else "l" * grid.words
-    alignment = words + "r" * (len(grid.header) - grid.words)
-    head = (r"\toprule", _latex_row(map(_tex, grid.header)), r"\midrule")
-    cells = _cells(grid, grid.named_once(), _tex, r"\textbf{{{}}}")
-    parted = ((_latex_row(row), *([r"\midrule"] if last else [])) for row, last in zip(cells, grid.ends(), strict=True))
-    body = [line for lines in parted for line in lines]
-    if long:
-        yield r"{\scriptsize\setlength{\tabcolsep}{2pt}"
-        yield from (rf"\begin{{longtable}}{{{alignment}}}", rf"\caption{{{caption}}}\\")
-        yield from (*head, r"\endhead", *body, r"\bottomrule", r"\end{longtable}}")
-        yield from [rf"{{\footnotesize {notes}\par}}"] if notes else []
-    else:
-        yield from (r"\begin{table}", r"\centering", rf"\caption{{{caption}}}")
-        yield r"\resizebox{\ifdim\width>\textwidth\textwidth\else\width\fi}{!}{%"
-        yield from (rf"\begin{{tabular}}{{{alignment}}}", *head, *body, r"\bottomrule", r"\end{tabular}")
-        yield from ("}", *((r"\par\smallskip\footnotesize", notes) if notes else ()), r"\end{table}")
+    environment = Environment(  # noqa: S701 (no HTML: a filter escapes what TeX takes for its own)
+        loader=PackageLoader("rrmctl.reports", ""), undefined=StrictUndefined, extensions=["jinja2.ext.loopcontrols"],
+        trim_blocks=True, lstrip_blocks=True, keep_trailing_newline=True, block_start_string="<%",
+        block_end_string="%>", variable_start_string="<<", variable_end_string=">>", comment_start_string="<#",
+        comment_end_string="#>",
+    )  # fmt: skip
+    environment.filters |= {"tex": lambda text: text.translate(_TEX), "json": partial(json.dumps, sort_keys=True)}
+    tables = []
+    for report in reports:
+        grid, long = report.grid, len(report.grid.rows) > _FLOATING
+        rows = [(_cells(grid, at, row, _TEX, r"\textbf{{{}}}"), last) for at, (row, last) in enumerate(grid.grouped())]
+        words = _folding(grid) if long else "l" * grid.words
+        tables.append((report, rows, words + "r" * (len(grid.header) - grid.words), long))
+    return environment.get_template("latex.jinja").render(tables=tables, packages=LATEX_PACKAGES)
 
 
 def _folding(grid: Grid) -> str:
@@ -147,14 +130,6 @@ def _folding(grid: Grid) -> str:
     return "".join(rf"p{{{_FOLDED * w / sum(weights):.3f}\textwidth}}" if w else "l" for w in weights)
 
 
-def _latex_row(cells: Iterable[str]) -> str:
-    return " & ".join(cells) + r" \\"
-
-
-def _tex(text: str) -> str:
-    return "".join(_TEX.get(sign, sign) for sign in text)
-
-
 def _csv(reports: Sequence[Report]) -> str:
     """All reports in one table; what belongs to a whole report is repeated in each of its rows.
 
@@ -162,17 +137,13 @@ def _csv(reports: Sequence[Report]) -> str:
     """
     import pandas as pd
 
-    plain = ("experiment", "profile", "variant")
-    tables = []
+    first, tables = ("experiment", "profile", "variant"), []
     for report in reports:
-        facts = {
-            key: value if isinstance(value, str | int | float) else json.dumps(value)
-            for key, value in report.facts.items()
-        }
-        rest = {key: value for key, value in facts.items() if key not in plain}
+        facts = report.facts | {"schema_version": TEXT_VERSION}
+        texts = {key: fact if isinstance(fact, str | int | float) else json.dumps(fact) for key, fact in facts.items()}
         rows = report.table if len(report.table.columns) else pd.DataFrame(index=[0])
-        table = rows.assign(**facts, schema_version=TEXT_VERSION)
-        tables.append(table[[*plain, *report.table.columns, *rest, "schema_version"]])
+        table = rows.assign(**texts)
+        tables.append(table[[*first, *(name for name in table.columns if name not in first)]])
     text: str = pd.concat(tables, ignore_index=True).to_csv(index=False, lineterminator="\n")
     return text
 

@@ -2,107 +2,28 @@
 
 from __future__ import annotations
 
+import json
 import math
-from collections import defaultdict
-from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
+from collections import Counter, defaultdict
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from itertools import takewhile
+from itertools import groupby
 from typing import TYPE_CHECKING, Any
 
 from rrmctl.errors import UserError
-from rrmctl.labels import knows
-from rrmctl.reports.captions import contents_notes, facts, statistics_notes, title
-from rrmctl.reports.statistics import Statistics
-from rrmctl.store.frame import TEXT, frame
+from rrmctl.labels import NOTHING_ASKED, Label
+from rrmctl.reports.columns import Column, Grid, Row
+from rrmctl.reports.series import Section
+from rrmctl.reports.statistics import BOOTSTRAP_SEED, SURE, Statistics
+from rrmctl.stats import MIN_RUNS, REPLICATES
+from rrmctl.store.frame import frame
 
 if TYPE_CHECKING:
     import pandas as pd
 
-    from rrmctl.reports.series import Section
-
-#: Stands where there is nothing to say.
-NOTHING = "–"
-
-#: Row and column.
-Cell = tuple[int, int]
-
-#: A row of a table: raw values by the name of their column; what is missing is not there, or NaN.
-Row = Mapping[str, Any]
-
 
 class NoDataError(UserError):
     """A table has nothing to show of these sections."""
-
-
-@dataclass(frozen=True)
-class Grid:
-    """A table as people read it."""
-
-    header: tuple[str, ...]
-    rows: tuple[tuple[str, ...], ...]
-    words: int = 1  #: so many columns from the left hold names, the others numbers
-    best: frozenset[Cell] = frozenset()  #: (row, column) of what is to be set in bold
-
-    def __post_init__(self) -> None:
-        assert all(len(row) == len(self.header) for row in self.rows)
-
-    @classmethod
-    def of(cls, columns: Sequence[Column], rows: Sequence[Row]) -> Grid:
-        """What people see of these columns."""
-        shown = [column for column in columns if column.heading and column.tells(rows)]
-        words = len(list(takewhile(lambda column: column.kind == TEXT, shown)))
-        entries = (
-            ((at, place), (place, *(row[name] for name in column.best)), row[column.name])
-            for place, column in enumerate(shown)
-            for at, row in enumerate(rows)
-            if column.best and not knows(row["method"])
-        )
-        cells = tuple(tuple(column.text(row) for column in shown) for row in rows)
-        return cls(tuple(str(column.heading) for column in shown), cells, words, highest(entries))
-
-    def ends(self) -> list[bool]:
-        """For each row, whether it is the last of those that share its first column and another group follows."""
-        starts = [here[0] != before[0] for before, here in zip(self.rows, self.rows[1:], strict=False)]
-        grouped = not all(starts)  # lines between all rows would part nothing
-        return [*(start and grouped for start in starts), False] if self.rows else []
-
-    def named_once(self) -> list[tuple[str, ...]]:
-        """The rows, with a name in the first column only where a group of them begins."""
-        begins = [True, *(here[0] != before[0] for before, here in zip(self.rows, self.rows[1:], strict=False))]
-        return [row if begins[at] else ("", *row[1:]) for at, row in enumerate(self.rows)]
-
-
-def highest(entries: Iterable[tuple[Cell, Hashable, float]]) -> frozenset[Cell]:
-    """The cells with the greatest number of their group, from (cell, group, number); equals all count, NaN never."""
-    groups: dict[Hashable, dict[Cell, float]] = defaultdict(dict)
-    for cell, group, value in entries:
-        if not math.isnan(value):
-            groups[group][cell] = value
-    tops = [(group, max(group.values())) for group in groups.values()]
-    return frozenset(c for group, top in tops for c, v in group.items() if math.isclose(v, top, abs_tol=1e-12))
-
-
-@dataclass(frozen=True)
-class Column:
-    """A column of a table, as programs and as people read it."""
-
-    name: str  #: of its values in the rows
-    kind: str = TEXT  #: their type, of `rrmctl.store.frame`
-    heading: str | None = None  #: of their text; None: people do not see them
-    show: Callable[[Row], str] | None = None  #: the text in a row; None: the value itself
-    apart: Sequence[str] | None = None  #: people see it only where it tells rows apart that are equal in these columns
-    best: Sequence[str] = ()  #: its highest value among rows that are equal in these is bold, the oracle's aside
-
-    def text(self, row: Row) -> str:
-        """Its cell for people."""
-        return str(row[self.name]) if self.show is None else self.show(row)
-
-    def tells(self, rows: Iterable[Row]) -> bool:
-        """Whether it says anything to people of these rows."""
-        if self.apart is None:
-            return True
-        keys = [tuple(row[name] for name in self.apart) for row in rows]
-        return len({(key, row[self.name]) for key, row in zip(keys, rows, strict=True)}) > len(set(keys))
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,3 +73,136 @@ def some(reports: list[Report], sections: Sequence[Section], lacking: str, hint:
         names = ", ".join(dict.fromkeys(section.experiment for section in sections))
         raise NoDataError(f"{names}: {lacking}", hint)
     return reports
+
+
+def facts(section: Section, settings: Statistics) -> dict[str, Any]:
+    """What a program must know of a table, in JSON values."""
+    return {
+        "experiment": section.experiment,
+        "profile": section.profile,
+        "variant": section.variant,
+        "overrides": dict(section.overrides),
+        "iqm_kind": settings.kind,
+        "interval": f"{SURE} percentile bootstrap over seeds, stratified by task",
+        "replicates": settings.replicates,
+        "bootstrap_seed": BOOTSTRAP_SEED,
+        "evaluation": list(section.evaluation),
+        "planned_runs": section.planned,
+        "contained_runs": section.contained,
+        "absent": [
+            {**absent.label._asdict(), "seed": absent.seed, "run": absent.run, "state": absent.state}
+            for absent in section.absent
+        ],
+        "problems": list(section.problems),
+        "mixed": list(section.mixed),
+        "remarks": list(section.remarks),
+    }
+
+
+def merged_facts(name: str, sections: Sequence[Section], settings: Statistics) -> dict[str, Any]:
+    """The same of a table made of several experiments of one profile."""
+    merged, *others = (facts(section, settings) for section in sections)
+    for other in others:
+        for key, value in merged.items():
+            if isinstance(value, list) or key in ("planned_runs", "contained_runs"):
+                merged[key] = value + other[key]
+    return merged | {"experiment": name, "experiments": [section.experiment for section in sections]}
+
+
+def title(section: Section, name: str | None = None) -> str:
+    """Experiment (or another name), profile and overrides in one line."""
+    text = f"{name or section.experiment} · profile {section.profile}"
+    if section.profile == "smoke":
+        text += " (machinery only, not results)"
+    if section.overrides:
+        texts = (value if isinstance(value, str) else json.dumps(value) for value in section.overrides.values())
+        text += " · " + ", ".join(map("{}={}".format, section.overrides, texts))
+    return text
+
+
+def contents_notes(section: Section) -> Iterator[str]:
+    """Where planned runs are not in it: how many and which; and what had to be left out or is remarkable."""
+    if section.contained < section.planned:
+        yield f"{section.contained} of {section.planned} planned runs."
+    yield from absent_notes(section)
+    yield from section.problems
+    yield from section.remarks
+
+
+def absent_notes(section: Section, *, short: bool = False) -> Iterator[str]:
+    """What was planned and is not in it: a sentence for each state, and one for series read before their end.
+
+    Where words are dear (`short`) with methods together that lack the same seeds, and teachers where needed.
+    """
+    asking = {
+        (series.label.task, *series.label[2:]) for series in section.series if series.label.teacher != NOTHING_ASKED
+    }
+    several = {task for task, count in Counter(task for task, *_ in asking).items() if count > 1}
+    by_state: dict[str, dict[Label, list[int]]] = defaultdict(lambda: defaultdict(list))
+    for absent in section.absent:
+        by_state[absent.state][absent.label].append(absent.seed)
+    for state, by_label in by_state.items():
+        alike: dict[tuple[str, str], list[str]] = defaultdict(list)
+        for label, seeds in by_label.items():
+            place = label.place if label.task in several else label.task
+            alike[place, _seeds(seeds)].append(label.method)
+        which = [f"{place}, {', '.join(names)}: {seeds}" for (place, seeds), names in alike.items()]
+        if not short:
+            which = [f"{label}: {_seeds(seeds)}" for label, seeds in by_label.items()]
+        yield f"Not contained, {state}: {'; '.join(which)}."
+    early = [f"{s.label} up to step {s.steps[-1]:,}" for s in section.series if s.n and not s.finished]
+    if early:
+        yield f"Under way, read as far as all of their runs have come: {'; '.join(early)}."
+
+
+def _seeds(seeds: Sequence[int]) -> str:
+    """`seed 3`, `seeds 0, 3`, `seeds 0-9`."""
+    by_distance = groupby(enumerate(sorted(seeds)), lambda numbered: numbered[1] - numbered[0])
+    runs = [[seed for _, seed in run] for _, run in by_distance]  # of seeds that follow one another
+    parts = (f"{run[0]}-{run[-1]}" if len(run) > 2 else ", ".join(map(str, run)) for run in runs)
+    return f"seed{'s' if len(seeds) > 1 else ''} {', '.join(parts)}"
+
+
+_KIND_IN_WORDS = {
+    "rliable": "rliable's (the lowest and highest quarter of the runs are dropped, rounded down to whole runs)",
+    "exact": "exact (fractional weights: half of the runs count, the two at the quartiles by the share inside)",
+}
+
+#: Fewest and most of hundred 95 % percentile intervals of an IQM that hold the true one, for so many seeds, over scores
+#: that are normal, even, lopsided or in two heaps; measured, see tests/rrmctl/reports/test_coverage.py.
+COVERAGE = {3: (71, 76), 4: (82, 87), 5: (84, 92), 7: (85, 92), 10: (90, 94), 20: (93, 95)}
+
+
+def _covered(counts: Iterable[int]) -> str:
+    return ", ".join(f"{COVERAGE[n][0]}-{COVERAGE[n][1]} % with {n}" for n in counts)
+
+
+_USUAL_EVALUATION = "10 episodes an evaluation, success at any step of an episode, deterministic policy"
+
+#: What holds of every table, unless a note below it says otherwise.
+EXPLAINED = (
+    "n: the runs behind a row, of those planned.",
+    f"IQM: {_KIND_IN_WORDS['rliable']}, of one number per seed; its episodes are averaged first.",
+    f"Interval: {SURE} percentile bootstrap over seeds with tasks as strata, {REPLICATES:,} replicates, generator seed "
+    f"{BOOTSTRAP_SEED}; none below {MIN_RUNS} seeds. With few seeds it covers less than its name says: about "
+    f"{_covered(COVERAGE)}.",
+    "25-75 %: the spread of the seeds, not an interval.",
+    "Bold: the highest of the methods but the oracle; where intervals overlap, that may be chance.",
+    f"Evaluation: {_USUAL_EVALUATION}.",
+)
+
+
+def statistics_notes(section: Section, settings: Statistics) -> Iterator[str]:
+    """In what the numbers were made otherwise than `EXPLAINED` says, and what intervals are worth with so few seeds."""
+    if settings.kind != "rliable":
+        yield f"IQM: {_KIND_IN_WORDS[settings.kind]}."
+    if settings.replicates != REPLICATES:
+        yield f"Intervals: {settings.replicates:,} replicates."
+    # With ten seeds an interval covers about what its name says.
+    counts = {series.n for series in section.series if min(COVERAGE) <= series.n < 10}
+    if counts:
+        measured = sorted({max(n for n in COVERAGE if n <= count) for count in counts})
+        yield f"A {SURE} interval of so few seeds holds the truth less often: about {_covered(measured)}."
+    yield from (
+        f"Evaluation: {protocol}." for protocol in section.evaluation if not _USUAL_EVALUATION.startswith(protocol)
+    )

@@ -19,15 +19,12 @@ from rrm.envs.tasks import ScoreKind as Unit
 from rrmctl.errors import UserError
 from rrmctl.labels import Schedule
 from rrmctl.reports.claims import Arm, Claim, Reading, Test
-from rrmctl.reports.scores import Score, score
+from rrmctl.reports.scores import score
 from rrmctl.reports.series import Section, Series
 from rrmctl.reports.statistics import LEVEL, Statistics
 from rrmctl.stats import MIN_RUNS, Estimate, Floats
 
 Verdict = Literal["held", "not held", "not enough data"]
-
-#: Profiles whose numbers are no results.
-_UNJUDGED = ("smoke",)
 
 
 @dataclass(frozen=True)
@@ -37,7 +34,7 @@ class Finding:
     test: Test
     task: str  #: or several, pooled
     unit: Unit = "success"
-    found: Estimate | None = None  #: of the arm, or of the difference; None where there is no data
+    estimate: Estimate | None = None  #: of the arm, or of the difference; None where there is no data
     verdict: Verdict = "not enough data"
     margin: float = -math.inf  #: by how much the interval is on the claim's side, below zero where it is not
     why: str = ""  #: where there is not enough data, what is missing
@@ -77,14 +74,23 @@ def judge(claim: Claim, sections: Mapping[str, Section], settings: Statistics) -
 
 def _finding(test: Test, tasks: Sequence[str], section: Section, rivals: int, settings: Statistics) -> Finding:
     """What the section says of one of so many rival comparisons; the error says why it says nothing."""
-    measured, unit = _measured(test, tasks, section, settings)
-    found = measured.estimate()
-    what = (test, ", ".join(tasks), unit, found)
-    if section.profile in _UNJUDGED:
+    arms, read = [arm for arm in (test.arm, test.than) if isinstance(arm, Arm)], []
+    for task in tasks:
+        series = [_series(section, task, arm) for arm in arms]
+        read.append(list(_values(section, series, test.reading)))
+    statistic, pooled = _deviation if test.reading.spread else None, test.reading.steps != "all"
+    scores = [
+        score(values, settings, pooled=pooled, stream=stream, statistic=statistic)
+        for stream, values in enumerate(zip(*read, strict=True), start=1)
+    ]
+    measured = scores[0] - scores[1] if len(scores) > 1 else scores[0]
+    estimate = measured.estimate()
+    what = (test, ", ".join(tasks), test.reading.unit or series[0].score, estimate)
+    if section.profile == "smoke":
         return Finding(*what, why=f"profile {section.profile} is no result")
     if np.isnan(measured.draws).all():
-        return Finding(*what, why=f"{found.n} seeds; an interval needs {MIN_RUNS}")
-    (worst, _), (_, best) = _beyond(test, found), _beyond(test, measured.estimate(1 - (1 - LEVEL) / rivals))
+        return Finding(*what, why=f"{estimate.n} seeds; an interval needs {MIN_RUNS}")
+    (worst, _), (_, best) = _beyond(test, estimate), _beyond(test, measured.estimate(1 - (1 - LEVEL) / rivals))
     on_bound = test.relation == "at least"  # a value on the bound is on the claim's side
     if worst > 0 or (on_bound and worst == 0):
         return Finding(*what, "held", worst)
@@ -93,26 +99,10 @@ def _finding(test: Test, tasks: Sequence[str], section: Section, rivals: int, se
     return Finding(*what, "not enough data", worst, "the interval allows both")
 
 
-def _beyond(test: Test, found: Estimate) -> tuple[float, float]:
+def _beyond(test: Test, estimate: Estimate) -> tuple[float, float]:
     """By how much the interval's ends are on the claim's side, the worse one first."""
-    bound, low, high = 0.0 if isinstance(test.than, Arm) else test.than, float(found.low), float(found.high)
+    bound, low, high = 0.0 if isinstance(test.than, Arm) else test.than, float(estimate.low), float(estimate.high)
     return (bound - high, bound - low) if test.relation == "below" else (low - bound, high - bound)
-
-
-def _measured(test: Test, tasks: Sequence[str], section: Section, settings: Statistics) -> tuple[Score, Unit]:
-    """The number that a test compares with its bound, and its unit."""
-    arms, read = [arm for arm in (test.arm, test.than) if isinstance(arm, Arm)], []
-    for task in tasks:
-        series = [_series(section, task, arm) for arm in arms]
-        read.append(list(_values(section, series, test.reading)))
-    statistic = _deviation if test.reading.spread else None
-    pooled = test.reading.steps != "all"
-    scores = [
-        score(values, settings, pooled=pooled, stream=stream, statistic=statistic)
-        for stream, values in enumerate(zip(*read, strict=True), start=1)
-    ]
-    measured = scores[0] - scores[1] if len(scores) > 1 else scores[0]
-    return measured, test.reading.unit or series[0].score
 
 
 def _deviation(scores: Floats) -> Floats:
@@ -125,27 +115,25 @@ def _deviation(scores: Floats) -> Floats:
 def _series(section: Section, task: str, arm: Arm) -> Series:
     """The one finished series that an arm means; the error says why there is none."""
     of_task = [(series, Schedule.of(series.label.feedback)) for series in section.series if series.label.task == task]
-    schedules = [schedule for _, schedule in of_task if schedule]
-    meant = [
-        series
-        for series, schedule in of_task
-        if series.label.method == arm.method and arm.teacher in (None, series.label.teacher)
-        if arm.budget is None or (schedule and _is(arm.budget, schedule, schedules))
-    ]
+    batch = max((schedule.batch for _, schedule in of_task if schedule), default=1)
+    every = min((schedule.every for _, schedule in of_task if schedule), default=1)
+
+    def is_meant(series: Series, schedule: Schedule | None) -> bool:
+        if series.label.method != arm.method or arm.teacher not in (None, series.label.teacher):
+            return False
+        if arm.budget is None or schedule is None:
+            return arm.budget is None
+        shares = (schedule.batch / batch, schedule.every / every)
+        return all(math.isclose(share, wanted, rel_tol=0.1) for share, wanted in zip(shares, arm.budget, strict=True))
+
+    meant = [series for series, schedule in of_task if is_meant(series, schedule)]
     if not any(series.n for series in meant):
-        raise UserError(f"no runs of {arm}, {task}")
+        raise UserError(f"no runs of {arm.words}, {task}")
     if len(meant) > 1:
-        raise UserError(f"{arm} stands for {len(meant)} series of {task}")
+        raise UserError(f"{arm.words} stands for {len(meant)} series of {task}")
     if not meant[0].finished:
-        raise UserError(f"{arm}, {task}: runs are under way")
+        raise UserError(f"{arm.words}, {task}: runs are under way")
     return meant[0]
-
-
-def _is(budget: tuple[float, float], schedule: Schedule, schedules: Sequence[Schedule]) -> bool:
-    """Whether a schedule is this proportion of the largest session and the shortest wait among a task's."""
-    batch, every = max(other.batch for other in schedules), min(other.every for other in schedules)
-    shares = (schedule.batch / batch, schedule.every / every)
-    return all(math.isclose(share, wanted, rel_tol=0.1) for share, wanted in zip(shares, budget, strict=True))
 
 
 def _values(section: Section, series: Sequence[Series], reading: Reading) -> Iterator[Floats]:

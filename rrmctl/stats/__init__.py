@@ -13,8 +13,7 @@ from rrmctl.stats.bootstrap import (
 )
 from rrmctl.stats.compare import difference, improvement, probability_of_improvement
 from rrmctl.stats.curves import CommonStep, area_under_curve, common_step, performance_profile
-from rrmctl.stats.outlook import Outlook, outlook
-from rrmctl.stats.sequential import Comparison, Decision, Design, Standing, sequential_test
+from rrmctl.stats.sequential import Comparison, Decision, Design, Outlook, Standing, outlook, sequential_test
 
 __all__ = [
     "MIN_RUNS", "REPLICATES", "CommonStep", "Comparison", "Decision", "Design", "Estimate", "Floats", "IntervalKind",

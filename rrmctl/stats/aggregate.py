@@ -1,11 +1,14 @@
 """Point estimates over runs: interquartile mean, mean, median, optimality gap and the quartile band.
 
-One run contributes one number, so a caller averages episodes first. What is not finite is refused: a missing
-measurement must be dealt with where it is known which run it belongs to.
+One run contributes one number, so a caller averages episodes first. All are taken along an axis of runs, or of
+everything pooled (rliable's definition for runs x tasks), and come as float64 of the remaining shape. A ValueError
+refuses what has no scores, or one that is not finite: a missing measurement must be dealt with where it is known which
+run it belongs to.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal, get_args
 
@@ -20,21 +23,12 @@ Steps = npt.NDArray[np.int64]
 #: ten runs four count fully and two by half).
 IqmKind = Literal["rliable", "exact"]
 
+#: Whole numbers from zero up, of the narrowest type that holds what they can add up to.
+Counts = npt.NDArray[np.unsignedinteger]
+
 
 def iqm(scores: npt.ArrayLike, kind: IqmKind = "rliable", *, axis: int | None = None) -> Floats:
-    """Interquartile mean along an axis, or of all entries pooled (rliable's definition for runs x tasks).
-
-    Args:
-        scores: finite numbers, any shape, at least one along the axis.
-        kind: see `IqmKind`.
-        axis: the runs; None pools everything.
-
-    Returns:
-        float64 of the remaining shape (0-d for `axis=None`).
-
-    Raises:
-        ValueError: no scores, a score that is not finite, or an unknown kind.
-    """
+    """Interquartile mean."""
     values = checked(scores, axis)
     weights = iqm_weights(values.shape[-1], kind)
     used = np.flatnonzero(weights)
@@ -73,31 +67,24 @@ def iqm_window(n: int, kind: IqmKind) -> tuple[float, float]:
 
 
 def mean(scores: npt.ArrayLike, *, axis: int | None = None) -> Floats:
-    """Mean along an axis or of everything; refuses what `iqm` refuses."""
+    """Mean."""
     return np.asarray(checked(scores, axis).mean(axis=-1))
 
 
 def median(scores: npt.ArrayLike, *, axis: int | None = None) -> Floats:
-    """Median along an axis or of everything; refuses what `iqm` refuses."""
+    """Median."""
     return np.asarray(np.median(checked(scores, axis), axis=-1))
 
 
 def optimality_gap(scores: npt.ArrayLike, target: float = 1.0, *, axis: int | None = None) -> Floats:
-    """By how much the runs miss a target on average; a run beyond the target counts as at it (as in rliable).
-
-    Raises:
-        ValueError: what `iqm` refuses, or a target that is not finite.
-    """
+    """By how much the runs miss a finite target on average; a run beyond it counts as at it (as in rliable)."""
     if not np.isfinite(target):
         raise ValueError(f"a target is a finite score, not {target}")
     return target - np.asarray(np.minimum(checked(scores, axis), target).mean(axis=-1))
 
 
 def quartiles(scores: npt.ArrayLike, *, axis: int | None = None) -> tuple[Floats, Floats]:
-    """The 25th and 75th percentile, linearly interpolated between runs: the band of a learning curve.
-
-    It describes the spread of the runs and is no confidence interval.
-    """
+    """The 25th and 75th percentile, linear between runs: the band of a learning curve, and no confidence interval."""
     low, high = np.quantile(checked(scores, axis), [0.25, 0.75], axis=-1)
     return np.asarray(low), np.asarray(high)
 
@@ -112,3 +99,45 @@ def checked(scores: npt.ArrayLike, axis: int | None = None) -> Floats:
     if bad:
         raise ValueError(f"{bad} of {values.size} scores are not finite; leave those runs out by name, not by accident")
     return values
+
+
+def count_draws(picks: Sequence[npt.NDArray[np.int32]]) -> Counts:
+    """How often each replicate drew each run of all strata, from the runs [R, S] that it drew: [sum of S, R]."""
+    draws = sum(pick.shape[1] for pick in picks)
+    counts: Counts = np.empty((draws, len(picks[0])), np.min_scalar_type(draws))
+    rows = iter(counts)
+    for pick in picks:
+        drawn = np.ascontiguousarray(pick.T, dtype=np.min_scalar_type(pick.shape[1]))
+        for run in range(pick.shape[1]):
+            np.add.reduce(drawn == run, axis=0, dtype=counts.dtype, out=next(rows))
+    return counts
+
+
+def iqm_replicates(scores: Floats, counts: Counts, kind: IqmKind) -> Floats:
+    """The interquartile mean of each replicate, none of which is sorted: [..., R].
+
+    Of all runs' scores [..., N], and how often each replicate drew each, [N, R]. The scores are sorted once for all
+    replicates; adding the counts up in that order says where, among the replicate's ordered draws, those of each score
+    begin and end, and the part of them between the quartiles is the score's weight. In a curve only the order differs
+    from one step to the next. Counts are small whole numbers, so one instruction of the processor adds dozens of them.
+    """
+    n, replicates = counts.shape
+    low, high = iqm_window(n, kind)
+    parts = next(parts for parts in (1, 2, 4) if (parts * low).is_integer())  # of a draw: quartiles fall between two
+    low, high = int(parts * low), int(parts * high)
+    rows = list(counts if parts == 1 else counts.astype(np.min_scalar_type(parts * n)) * np.uint8(parts))
+    order = np.argsort(scores, axis=-1)
+    ordered = np.take_along_axis(scores, order, axis=-1)
+    ends, inside = np.zeros((2, n + 1, replicates), rows[0].dtype)  # where the draws of each score end, from zero on
+    weights = np.empty((n, replicates), rows[0].dtype)
+    means = np.empty((*scores.shape[:-1], replicates))
+    for at in np.ndindex(means.shape[:-1]):
+        before = ends[0]  # zero
+        for run, end in zip(order[at], ends[1:], strict=True):
+            before = np.add(before, rows[run], out=end)
+        np.clip(ends, low, high, out=inside)
+        np.subtract(inside[1:], inside[:-1], out=weights)
+        np.einsum("n,nr->r", ordered[at], weights, out=means[at])  # a matrix product would copy the weights to floats
+    means /= high - low
+    # A mean lies between the scores; rounding must not move that of equal scores away from them.
+    return np.clip(means, ordered[..., :1], ordered[..., -1:], out=means)

@@ -8,11 +8,14 @@ The percentile interval takes the replicates' quantiles at 2.5 % and 97.5 %. BCa
 these levels: by how far the estimate lies from the replicates' median, and by how fast the spread of the statistic
 changes with its value, which is read from the estimates without one run each. It needs a statistic that changes
 smoothly with the runs: means and interquartile means, not medians.
+
+A ValueError refuses what cannot be resampled: no strata, an empty one, shapes that differ beyond the runs, a score that
+is not finite, no replicates, or a level that is not between 0 and 1.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from statistics import NormalDist
 from typing import Literal, get_args
@@ -20,8 +23,7 @@ from typing import Literal, get_args
 import numpy as np
 import numpy.typing as npt
 
-from rrmctl.stats.aggregate import Floats, Iqm, checked
-from rrmctl.stats.counting import count_draws, iqm_replicates
+from rrmctl.stats.aggregate import Floats, Iqm, checked, count_draws, iqm_replicates
 
 #: Reduces the last axis, which holds the runs. Any function will do; of an `Iqm` the replicates come much quicker.
 Statistic = Callable[[Floats], Floats]
@@ -32,8 +34,6 @@ IntervalKind = Literal["percentile", "bca"]
 #: Fewer runs than this in any stratum say nothing about spread; such an estimate gets no interval.
 MIN_RUNS = 3
 REPLICATES = 10_000
-#: What stays in a core's cache is read again at once.
-_CHUNK_BYTES = 2**20
 
 
 @dataclass(frozen=True)
@@ -67,37 +67,29 @@ def bootstrap(
     """The statistic of all runs pooled, and its interval.
 
     Args:
-        strata: for each task the scores of its runs, [S] or [S, ...]; tasks may have different numbers of runs.
+        strata: for each task the finite scores of its runs, [S] or [S, ...]; tasks may have different numbers of runs.
         statistic: reduces the last axis of an array.
         rng: the only source of randomness.
         replicates: resampled data sets.
         level: nominal coverage; the true one is lower for few runs.
-        kind: see `IntervalKind`; BCa is meant for smooth statistics, and where it is not defined (saturated runs) the
-            percentile interval stands in and `method` says so.
-
-    Raises:
-        ValueError: no strata, an empty one, shapes that differ beyond the runs, a score that is not finite, or an
-            unknown kind.
+        kind: BCa is meant for smooth statistics, and where it is not defined (saturated runs) the percentile interval
+            stands in and `method` says so.
     """
     if kind not in get_args(IntervalKind):
         raise ValueError(f"unknown interval {kind!r}; known: {', '.join(get_args(IntervalKind))}")
     runs = _runs_last(strata)
     draws = None
-    if interval_possible([each.shape[-1] for each in runs]):
+    if interval_possible([stratum.shape[-1] for stratum in runs]):
         draws = resample(strata, statistic, rng=rng, replicates=replicates)
     pooled = np.concatenate(runs, axis=-1)
-    found = estimate(statistic(pooled), draws, n=pooled.shape[-1], level=level)
+    plain = estimate(statistic(pooled), draws, n=pooled.shape[-1], level=level)
     if kind == "percentile" or draws is None:
-        return found
-    return _bias_corrected(found, draws, bca_levels(found.estimate, draws, left_out(runs, statistic), level))
+        return plain
+    return _bias_corrected(plain, draws, bca_levels(plain.estimate, draws, left_out(runs, statistic), level))
 
 
 def estimate(point: npt.ArrayLike, draws: Floats | None, *, n: int, level: float = 0.95) -> Estimate:
-    """Wrap a statistic and its replicates [R, ...]; None stands for "too few runs" and leaves NaN as the interval.
-
-    Raises:
-        ValueError: the level is not between 0 and 1.
-    """
+    """Wrap a statistic and its replicates [R, ...]; None stands for "too few runs" and leaves NaN as the interval."""
     if not 0.0 < level < 1.0:
         raise ValueError(f"the level of an interval lies between 0 and 1, not {level}")
     value = np.asarray(point, dtype=np.float64)
@@ -121,43 +113,42 @@ def resample(
     *,
     rng: np.random.Generator,
     replicates: int = REPLICATES,
-    chunk_bytes: int = _CHUNK_BYTES,
+    chunk_bytes: int = 2**20,  # what stays in a core's cache is read again at once
 ) -> Floats:
     """The statistic of each resampled data set, float64 [R, ...].
 
     Memory is bounded by `chunk_bytes` for each copy of the data it makes; the result depends on it, and on whether an
     `Iqm` or an equal function is given, by rounding alone.
-
-    Raises:
-        ValueError: as `bootstrap`, or no replicates are asked for.
     """
     if replicates < 1:
         raise ValueError(f"a bootstrap needs at least one replicate, not {replicates}")
     runs = _runs_last(strata)
     # All draws come first: the stream must not depend on the size of the chunks.
-    picks = [rng.integers(each.shape[-1], size=(replicates, each.shape[-1]), dtype=np.int32) for each in runs]
+    sizes = [stratum.shape[-1] for stratum in runs]
+    picks = [rng.integers(size, size=(replicates, size), dtype=np.int32) for size in sizes]
     if isinstance(statistic, Iqm):  # from how often each replicate drew each run; a count takes a byte or two, copied
         scores, counts, kind = np.concatenate(runs, axis=-1), count_draws(picks), statistic.kind
-        length = max(1, chunk_bytes // (4 * len(counts)))
-        parts = [iqm_replicates(scores, counts[:, chunk], kind) for chunk in _chunks(replicates, length)]
+        size = 4 * len(counts)
+
+        def part(chunk: slice) -> Floats:
+            return iqm_replicates(scores, counts[:, chunk], kind)
     else:
-        length = max(1, chunk_bytes // (8 * sum(each.size for each in runs)))
-        parts = []
-        for chunk in _chunks(replicates, length):
-            drawn = [np.take(each, pick[chunk], axis=-1) for each, pick in zip(runs, picks, strict=True)]
-            parts.append(statistic(np.concatenate(drawn, axis=-1)))
+        size = 8 * sum(stratum.size for stratum in runs)
+
+        def part(chunk: slice) -> Floats:
+            drawn = [np.take(stratum, pick[chunk], axis=-1) for stratum, pick in zip(runs, picks, strict=True)]
+            return statistic(np.concatenate(drawn, axis=-1))
+
+    length = max(1, chunk_bytes // size)
+    parts = [part(slice(start, start + length)) for start in range(0, replicates, length)]
     return np.moveaxis(np.concatenate(parts, axis=-1), -1, 0)
-
-
-def _chunks(replicates: int, length: int) -> Iterator[slice]:
-    return (slice(start, start + length) for start in range(0, replicates, length))
 
 
 def _runs_last(strata: Sequence[npt.ArrayLike]) -> list[Floats]:
     if not strata:
         raise ValueError("no strata to resample")
-    runs = [checked(each, axis=0) for each in strata]
-    if len({each.shape[:-1] for each in runs}) > 1:
+    runs = [checked(scores, axis=0) for scores in strata]
+    if len({stratum.shape[:-1] for stratum in runs}) > 1:
         raise ValueError("the scores of all strata need one shape beyond the runs")
     return runs
 
@@ -167,54 +158,46 @@ _cdf = np.vectorize(_NORMAL.cdf, otypes=[np.float64])
 _inverse = np.vectorize(_NORMAL.inv_cdf, otypes=[np.float64])
 
 
-def _bias_corrected(found: Estimate, draws: Floats, levels: Floats) -> Estimate:
+def _bias_corrected(plain: Estimate, draws: Floats, levels: Floats) -> Estimate:
     """The percentile estimate with its ends moved to these levels [2, ...], where there are any."""
-    known = np.isfinite(levels).all(axis=0)
-    low, high = np.where(known, quantiles_at(draws, np.where(known, levels, 0.5)), (found.low, found.high))
-    method = found.method.replace("percentile", "BCa")
-    if known.all():
-        return replace(found, low=low, high=high, method=method)
+    defined = np.isfinite(levels).all(axis=0)
+    low, high = np.where(defined, quantiles_at(draws, np.where(defined, levels, 0.5)), (plain.low, plain.high))
+    moved = replace(plain, low=low, high=high, method=plain.method.replace("percentile", "BCa"))
+    if defined.all():
+        return moved
     why = "BCa is not defined: all replicates on one side of it, or no run that makes a difference"
-    if not known.any():
-        return found.noting(why)
-    apart = f"percentile for {known.size - known.sum()} of {known.size} numbers where {why}"
-    return replace(found, low=low, high=high, method=method).noting(apart)
+    if not defined.any():
+        return plain.noting(why)
+    return moved.noting(f"percentile for {defined.size - defined.sum()} of {defined.size} numbers where {why}")
 
 
 def left_out(runs: Sequence[Floats], statistic: Callable[[Floats], Floats]) -> list[Floats]:
     """For each stratum [..., S] the statistic of all runs pooled but one of that stratum, [S, ...]."""
     pooled = np.concatenate(runs, axis=-1)
-    sizes = [each.shape[-1] for each in runs]
+    sizes = [stratum.shape[-1] for stratum in runs]
     values = np.stack([statistic(np.delete(pooled, run, axis=-1)) for run in range(sum(sizes))])
     return np.split(values, np.cumsum(sizes)[:-1])
 
 
 def bca_levels(point: Floats, draws: Floats, without: Sequence[Floats], level: float) -> Floats:
-    """Where among the replicates the interval's two ends lie.
+    """Where among the replicates [R, ...] of an estimate the interval's two ends lie: [2, ...] in (0, 1).
 
-    Args:
-        point: the estimate, [...].
-        draws: its replicates, [R, ...].
-        without: of `left_out`, [S, ...] for each stratum.
-        level: nominal coverage.
-
-    Returns:
-        float64 [2, ...] in (0, 1); NaN where BCa is not defined: all replicates on one side of the estimate, no
-        difference whichever run is left out, or a correction beyond any level.
+    It is NaN where BCa is not defined: all replicates on one side of the estimate, no difference whichever run is left
+    out (`without`, of `left_out`), or a correction beyond any level.
     """
     below = ((draws < point).mean(axis=0) + (draws <= point).mean(axis=0)) / 2  # ties count by half
-    known = (below > 0.0) & (below < 1.0)
-    bias = _inverse(np.where(known, below, 0.5))
-    influence = [(len(each) - 1) * (each.mean(axis=0) - each) / len(each) for each in without]
-    cubes, squares = (np.sum([(each**power).sum(axis=0) for each in influence], axis=0) for power in (3, 2))
-    known &= squares > 0.0
+    defined = (below > 0.0) & (below < 1.0)
+    bias = _inverse(np.where(defined, below, 0.5))
+    influences = [(len(left) - 1) * (left.mean(axis=0) - left) / len(left) for left in without]
+    cubes, squares = (np.sum([(u**power).sum(axis=0) for u in influences], axis=0) for power in (3, 2))
+    defined &= squares > 0.0
     acceleration = cubes / np.where(squares > 0.0, 6.0 * squares**1.5, 1.0)  # a sixth of the influences' skewness
     tail = (1.0 - level) / 2.0
     ends = np.array([_NORMAL.inv_cdf(tail), _NORMAL.inv_cdf(1.0 - tail)]).reshape(2, *[1] * point.ndim)
     slope = 1.0 - acceleration * (bias + ends)
-    known &= (slope > 0.0).all(axis=0)
-    shifted = bias + (bias + ends) / np.where(known, slope, 1.0)
-    return np.where(known, _cdf(shifted), np.nan)
+    defined &= (slope > 0.0).all(axis=0)
+    shifted = bias + (bias + ends) / np.where(defined, slope, 1.0)
+    return np.where(defined, _cdf(shifted), np.nan)
 
 
 def quantiles_at(draws: Floats, levels: Floats) -> Floats:
@@ -223,5 +206,5 @@ def quantiles_at(draws: Floats, levels: Floats) -> Floats:
     place = levels * (len(draws) - 1)
     before = np.floor(place).astype(np.intp)
     after = np.minimum(before + 1, len(draws) - 1)
-    low, high = (np.take_along_axis(ordered, each, axis=0) for each in (before, after))
+    low, high = (np.take_along_axis(ordered, row, axis=0) for row in (before, after))
     return np.asarray(low + (high - low) * (place - before))

@@ -12,9 +12,8 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
-from rrmctl.stats.aggregate import Floats, checked
+from rrmctl.stats.aggregate import Floats, checked, count_draws
 from rrmctl.stats.bootstrap import REPLICATES, Estimate, Statistic, estimate, interval_possible, resample
-from rrmctl.stats.counting import count_draws
 
 Strata = Sequence[npt.ArrayLike]
 
@@ -29,24 +28,15 @@ def difference(
     replicates: int = REPLICATES,
     level: float = 0.95,
 ) -> Estimate:
-    """The statistic of our runs minus that of theirs, and its percentile interval.
+    """The statistic of our runs minus that of theirs, each pooled over tasks, and its percentile interval.
 
-    Args:
-        ours, theirs: for each task the scores of the runs, [S] or [S, ...]; tasks in the same order.
-        statistic: reduces the last axis of an array; taken of each method's runs pooled over tasks.
-        rng: the only source of randomness.
-        paired: the runs of one row belong together; they are drawn together.
-        replicates: resampled data sets.
-        level: nominal coverage.
-
-    Raises:
-        ValueError: as `rrmctl.stats.bootstrap`, different numbers of tasks, or paired runs of different numbers.
+    Args as of `rrmctl.stats.bootstrap`; `paired`: the runs of one row belong together, and are drawn together.
     """
     sizes = _sizes(ours, theirs)
     if paired and any(a != b for a, b in sizes):
         raise ValueError("paired runs come in pairs: both methods need the same seeds on every task")
     both = (ours, theirs)
-    point, other = (statistic(np.concatenate([checked(each, axis=0) for each in runs], axis=-1)) for runs in both)
+    point, other = (statistic(np.concatenate([checked(task, axis=0) for task in runs], axis=-1)) for runs in both)
     draws = None
     if interval_possible([size for pair in sizes for size in pair]):
         seeds = rng.integers(2**63, size=2)
@@ -54,21 +44,15 @@ def difference(
         draws = np.subtract(
             *(resample(runs, statistic, rng=own, replicates=replicates) for runs, own in zip(both, rngs, strict=True))
         )
-    found = estimate(point - other, draws, n=sum(map(sum, sizes)), level=level)
-    return found if draws is None else found.noting("pairs of one seed drawn together" if paired else "unpaired")
+    apart = estimate(point - other, draws, n=sum(map(sum, sizes)), level=level)
+    return apart if draws is None else apart.noting("pairs of one seed drawn together" if paired else "unpaired")
 
 
 def probability_of_improvement(ours: Strata, theirs: Strata) -> float:
     """The probability that a run of ours beats one of theirs on the same task, averaged over tasks; ties count half.
 
-    The Mann-Whitney statistic over the number of pairs (Agarwal et al. 2021, as in rliable). Every run of one method is
-    compared with every run of the other: seeds are no pairs here.
-
-    Args:
-        ours, theirs: for each task one score a run, [S].
-
-    Raises:
-        ValueError: no tasks, different numbers of tasks, no runs, or a score that is not finite.
+    The Mann-Whitney statistic over the number of pairs (Agarwal et al. 2021, as in rliable), of one score a run. Every
+    run of one method is compared with every run of the other: seeds are no pairs here.
     """
     return float(np.mean([wins.mean() for wins in _wins(ours, theirs)]))
 
@@ -81,31 +65,25 @@ def improvement(
     replicates: int = REPLICATES,
     level: float = 0.95,
 ) -> Estimate:
-    """`probability_of_improvement` with its percentile interval, both methods resampled within each task.
-
-    Raises:
-        ValueError: as `probability_of_improvement`, or no replicates are asked for.
-    """
+    """`probability_of_improvement` with its percentile interval, both methods resampled within each task."""
     if replicates < 1:
         raise ValueError(f"a bootstrap needs at least one replicate, not {replicates}")
     tasks, draws = _wins(ours, theirs), None
     sizes = [size for wins in tasks for size in wins.shape]
     if interval_possible(sizes):
-        draws = np.mean([_win_draws(wins, rng, replicates) for wins in tasks], axis=0)
+        shares = []
+        for wins in tasks:  # of wins in each replicate, from how often it drew each run
+            a, b = (count_draws([rng.integers(n, size=(replicates, n), dtype=np.int32)]) for n in wins.shape)
+            shares.append(np.einsum("ar,ab,br->r", a, wins, b, optimize=True) / wins.size)
+        draws = np.mean(shares, axis=0)
     return estimate(np.mean([wins.mean() for wins in tasks]), draws, n=sum(sizes), level=level)
-
-
-def _win_draws(wins: Floats, rng: np.random.Generator, replicates: int) -> Floats:
-    """The share of wins of each replicate [R], from how often it drew each run."""
-    ours, theirs = (count_draws([rng.integers(n, size=(replicates, n), dtype=np.int32)]) for n in wins.shape)
-    return np.asarray(np.einsum("ar,ab,br->r", ours, wins, theirs, optimize=True) / wins.size)
 
 
 def _wins(ours: Strata, theirs: Strata) -> list[Floats]:
     """Of each task, 1 where the run of ours [row] beats that of theirs [column], 1/2 where they are level: [S, S']."""
     _sizes(ours, theirs)
-    pairs = [[checked(each, axis=0) for each in pair] for pair in zip(ours, theirs, strict=True)]
-    if any(each.ndim != 1 for pair in pairs for each in pair):
+    pairs = [[checked(scores, axis=0) for scores in pair] for pair in zip(ours, theirs, strict=True)]
+    if any(scores.ndim != 1 for pair in pairs for scores in pair):
         raise ValueError("runs are compared by one score each")
     return [np.asarray((np.sign(a[:, None] - b) + 1.0) / 2.0) for a, b in pairs]
 

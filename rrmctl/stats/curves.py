@@ -17,17 +17,9 @@ SHARE = 0.8
 
 
 def area_under_curve(steps: npt.ArrayLike, values: npt.ArrayLike) -> Floats:
-    """Mean height of a curve between its first and last step (trapezoids), in the unit of the values.
+    """Mean height of curves [..., T] between their first and last step (trapezoids): [...], in the values' unit.
 
-    Args:
-        steps: strictly increasing, [T].
-        values: finite, [..., T].
-
-    Returns:
-        float64 of shape [...]; the value itself where there is a single step.
-
-    Raises:
-        ValueError: the steps do not increase, do not match the values, or a value is not finite.
+    The steps [T] strictly increase; of a single one it is the value itself.
     """
     x = checked_steps(steps)
     y = checked(values, axis=-1)
@@ -57,9 +49,6 @@ def common_step(steps: npt.ArrayLike, success: Mapping[str, npt.ArrayLike]) -> C
     Args:
         steps: evaluation steps common to all methods, [T].
         success: method (none that knows the true reward) -> share of successful episodes of each run, [S, T].
-
-    Raises:
-        ValueError: no steps, shapes that do not match, or a success that is not finite or outside [0, 1].
     """
     x = checked_steps(steps)
     first: dict[str, int] = {}
@@ -99,22 +88,14 @@ def performance_profile(
     """Share of all runs, tasks pooled, that score above each threshold, with a pointwise percentile band.
 
     The run-score distribution of Agarwal et al. 2021, as in rliable: a score equal to the threshold is not above it.
+    `level` is the coverage at each threshold by itself; the band as a whole covers less.
 
     Args:
         strata: for each task one score a run, [S].
-        thresholds: finite, [T].
-        rng: the only source of randomness.
-        replicates: resampled data sets.
-        level: nominal coverage at each threshold by itself; the band as a whole covers less.
-
-    Returns:
-        arrays [T].
-
-    Raises:
-        ValueError: as `rrmctl.stats.bootstrap`; thresholds that are no finite list; more than one score a run.
+        thresholds: [T], finite, as are the arrays of the result.
     """
-    levels, runs = checked(thresholds, axis=0), [checked(each, axis=0) for each in strata]
-    if levels.ndim != 1 or any(each.ndim != 1 for each in runs):
+    levels, runs = checked(thresholds, axis=0), [checked(scores, axis=0) for scores in strata]
+    if levels.ndim != 1 or any(scores.ndim != 1 for scores in runs):
         raise ValueError("a profile needs a list of thresholds and one score for each run")
-    above = [each[:, None] > levels for each in runs]
+    above = [scores[:, None] > levels for scores in runs]
     return bootstrap(above, partial(mean, axis=-1), rng=rng, replicates=replicates, level=level)

@@ -15,7 +15,7 @@ TMLR 2024; why the step-down is Holm's, and what is controlled and what is not, 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import combinations
 from typing import Literal, NamedTuple
@@ -24,19 +24,21 @@ import numpy as np
 import numpy.typing as npt
 
 from rrmctl.stats.aggregate import Floats, checked
+from rrmctl.stats.bootstrap import interval_possible
 
 #: `larger`, `smaller`: the first method is, as against the second. `equal`: not separated by the last look. `open`:
 #: more seeds decide.
 Decision = Literal["larger", "smaller", "equal", "open"]
 
+#: That an outlook imagines.
+FUTURES = 100
+#: Sequences of splits: so many of them lie beyond the boundaries by the last look, but no more than these in all.
+_CROSSING, _MOST = 20, 4000
+
 
 @dataclass(frozen=True, kw_only=True)
 class Design:
-    """How often one looks and what errors one bears; fixed before the first look.
-
-    Raises:
-        ValueError: no group, look or permutation, or a share outside its range.
-    """
+    """How often one looks and what errors one bears; fixed before the first look."""
 
     group: int = 5  #: seeds of each method between two looks
     looks: int = 4  #: at most; group * looks seeds are the most that may be run
@@ -84,19 +86,12 @@ def sequential_test(comparisons: Sequence[Comparison], design: Design) -> list[S
 
     The same scores give the same verdicts, and as long as all open comparisons have the same groups, further ones
     change nothing that is decided. A comparison with fewer groups than another waits for its own; what is beyond the
-    last full group is not looked at.
-
-    Args:
-        comparisons: all that share the level, those without any seed yet among them.
-        design: fixed in advance.
-
-    Raises:
-        ValueError: scores that are not finite, or more than one a seed.
+    last full group is not looked at. Given are all comparisons that share the level, those without any seed yet too.
     """
     tested = [_Tested(comparison, design) for comparison in comparisons]
     verdicts: dict[int, Standing] = {}
     for looks in range(1, design.looks + 1):
-        left = [at for at, each in enumerate(tested) if at not in verdicts and each.looks >= looks]
+        left = [at for at, one in enumerate(tested) if at not in verdicts and one.looks >= looks]
         for _ in comparisons:  # one that is decided leaves the others a larger share of the level
             level = design.alpha / max(1, len(tested) - sum(verdict.separated for verdict in verdicts.values()))
             for at in list(left):
@@ -107,21 +102,14 @@ def sequential_test(comparisons: Sequence[Comparison], design: Design) -> list[S
                     left.remove(at)
         if looks == design.looks:
             verdicts |= {at: Standing("equal", looks, tested[at].difference(looks)) for at in left}
-    return [
-        verdicts.get(at, Standing("open", each.looks, each.difference(each.looks))) for at, each in enumerate(tested)
-    ]
+    return [verdicts.get(at, Standing("open", one.looks, one.difference(one.looks))) for at, one in enumerate(tested)]
 
 
 def boundaries(statistics: Sequence[Floats], looks: int, level: float) -> tuple[list[float], npt.NDArray[np.int64]]:
-    """What a statistic must exceed at each look, and at which look each sequence of splits first does.
+    """What a statistic must exceed at each look so far, and at which [B] each sequence of splits does, zero for never.
 
-    Args:
-        statistics: of every sequence at the looks so far, [B] each.
-        looks: that there may be in all.
-        level: share of the sequences that may exceed a boundary by the last look; so much of it as has passed, by now.
-
-    Returns:
-        a boundary for each look so far, and [B] numbers of looks from one up, zero for never.
+    Of the statistics of every sequence at these looks, [B] each, a share of `level` may exceed a boundary by the last
+    of the `looks`; so much of it as has passed, by now.
     """
     bounds: list[float] = []
     first = np.zeros(len(statistics[0]), dtype=np.int64)
@@ -184,13 +172,7 @@ def sequences(group: int, looks: int, most: int, seed: int) -> tuple[Floats, ...
     groups of few runs that is every sequence there is. Such a set, taken after a random one of its own members, is
     distributed as before; so what was seen is, where the methods are alike, a member like any other. A test that lets
     through a share of at most alpha of the sequences then errs with a probability of at most alpha, however many there
-    are: fewer only make it coarser.
-
-    Args:
-        group: runs of each method in a group.
-        looks: groups.
-        most: sequences, as a rule; never fewer than one group has splits.
-        seed: of the generator of each group's splits, together with the group's number.
+    are: fewer only make it coarser. There are never fewer than one group has splits.
     """
     chosen: npt.NDArray[np.intp] = np.array(list(combinations(range(2 * group), group)))
     splits = np.full((len(chosen), 2 * group), -1.0 / group)  # every split, the observed one first
@@ -208,3 +190,46 @@ def sequences(group: int, looks: int, most: int, seed: int) -> tuple[Floats, ...
         drawn.append(splits[which])
         drawn[-1].flags.writeable = False  # shared by all who ask
     return tuple(drawn)
+
+
+@dataclass(frozen=True)
+class Outlook:
+    """What the futures of an open comparison hold."""
+
+    share: float  #: of the futures that separate it by the last look; NaN with too few runs to imagine any
+    more: int | None  #: seeds of each method after which half of the futures have separated it; None: later, or never
+
+
+def outlook(
+    comparison: Comparison, verdict: Standing, design: Design, *, rng: np.random.Generator, futures: int = FUTURES
+) -> Outlook:
+    """How many more seeds would likely separate an open comparison, judged by its scores so far.
+
+    Each imagined future draws the runs so far of both methods with replacement and takes the result for what the
+    methods do, so that the little that is known of them counts; draws the seeds to come from there; and goes on with
+    the sequential test. It cannot know what no run has shown yet: with few seeds a rare failure is missing from it
+    altogether, and a difference that is there by luck is believed. It is a help for planning, no result, and errs to
+    the hopeful side. The design has as its `alpha` what is left of the level for this comparison.
+    """
+    if verdict.decision != "open":
+        raise ValueError("only an open comparison has an outlook")
+    ours, theirs = (np.asarray(scores, dtype=np.float64) for scores in comparison)
+    if not interval_possible([len(ours), len(theirs)]):
+        return Outlook(np.nan, None)
+    quick = replace(design, permutations=min(design.permutations, _MOST, round(_CROSSING / design.alpha)))
+    ends = []
+    for _ in range(futures):
+        imagined = Comparison(_future(ours, design.seeds, rng), _future(theirs, design.seeds, rng))
+        (end,) = sequential_test([imagined], quick)
+        # The quick test may see at an old look what the full one did not: the next look is the first that can count.
+        ends.append(max(end.looks, verdict.looks + 1) * design.group if end.separated else np.inf)
+    median = float(np.quantile(ends, 0.5, method="higher"))
+    so_far = min(len(ours), len(theirs))
+    more = max(0, int(median) - so_far) if np.isfinite(median) else None
+    return Outlook(share=float(np.isfinite(ends).mean()), more=more)
+
+
+def _future(scores: Floats, seeds: int, rng: np.random.Generator) -> Floats:
+    """The runs so far and those to come, as many as there may be at most."""
+    truth = rng.choice(scores, len(scores))
+    return np.concatenate([scores, rng.choice(truth, max(0, seeds - len(scores)))])

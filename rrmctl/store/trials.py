@@ -8,6 +8,7 @@ from typing import NamedTuple
 from pydantic import StrictFloat, StrictInt, StrictStr
 
 from rrmctl.errors import UserError
+from rrmctl.labels import Label
 from rrmctl.store.files import remove_leftovers
 from rrmctl.store.layout import Layout
 from rrmctl.store.locks import locked
@@ -24,6 +25,10 @@ class Pairing(NamedTuple):
     method: StrictStr
     against: StrictStr
 
+    def __str__(self) -> str:
+        where = Label(self.task, self.method, self.teacher, self.feedback).place
+        return f"{where}, {self.method} against {self.against}"
+
 
 @dataclass(frozen=True, kw_only=True)
 class Trial:
@@ -36,23 +41,14 @@ class Trial:
 
 
 def read_trial(layout: Layout, experiment: str, variant: str) -> Trial | None:
-    """The test of this variant; None where none was begun.
-
-    Raises:
-        UserError: its file is damaged, cannot be read now, or is of another schema version.
-    """
+    """The test of this variant; None where none was begun."""
     path = layout.trial(experiment, variant)
     hint = "move it away to begin another test, whose error rate then no longer counts the looks of this one"
     return read_record(Trial, path, hint)
 
 
 def begin_trial(layout: Layout, experiment: str, variant: str, trial: Trial) -> None:
-    """Write down the rules of a test, or see that they are those of the test that was begun here.
-
-    Raises:
-        UserError: a test with other rules was begun here.
-        StorageError: the results folder takes no write.
-    """
+    """Write down the rules of a test, or see that they are those of the test that was begun here; refused else."""
     path = layout.trial(experiment, variant)
     with locked(layout.sweep_lock(experiment)):
         remove_leftovers(path.parent)

@@ -9,12 +9,11 @@ from dataclasses import dataclass, field, replace
 
 from rrmctl.commands import rrmctl
 from rrmctl.errors import UserError
-from rrmctl.reports.captions import title
 from rrmctl.reports.figure_layout import Figure, encode
 from rrmctl.reports.figures import figures
 from rrmctl.reports.page import listings
 from rrmctl.reports.page.parts import Column, Part, Picture, Table, identifier
-from rrmctl.reports.report import Report
+from rrmctl.reports.report import Report, title
 from rrmctl.reports.series import Section
 from rrmctl.reports.statistics import Statistics
 from rrmctl.reports.tables import kinds

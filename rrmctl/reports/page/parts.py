@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 import pandas as pd
 
-from rrmctl.reports.report import NOTHING
+from rrmctl.reports.columns import NOTHING
 
 Row = Mapping[Any, Any] | Sequence[Any]
 

@@ -20,7 +20,7 @@ def kinds() -> dict[str, Entry]:
 
 def explained(table: str | None = None) -> dict[str, tuple[str, ...]]:
     """Sentences that hold of a table, or of every one, by its name, and those that hold of all."""
-    from rrmctl.reports.captions import EXPLAINED
+    from rrmctl.reports.report import EXPLAINED
 
     own = {name: entry.load().EXPLAINED for name, entry in kinds().items() if table in (None, "all", name)}
     return {title: sentences for title, sentences in (own | {"all tables": EXPLAINED}).items() if sentences}

@@ -11,9 +11,8 @@ from collections.abc import Callable, Sequence
 
 from rrmctl.errors import UserError
 from rrmctl.reports import tables
-from rrmctl.reports.captions import facts
-from rrmctl.reports.captions import title as title_of
-from rrmctl.reports.report import Grid, NoDataError, Report
+from rrmctl.reports.columns import Grid
+from rrmctl.reports.report import NoDataError, Report, facts, title
 from rrmctl.reports.series import Section
 from rrmctl.reports.statistics import Statistics
 
@@ -28,8 +27,8 @@ def make(sections: Sequence[Section], settings: Statistics) -> list[Report]:
     for kind, entry in tables.kinds().items():
         if entry.path != __name__:
             for report in _reports(entry.load().make, sections, settings):
-                title = report.title if report.title.startswith(kind) else f"{kind}: {report.title}"
-                reports.append(dataclasses.replace(report, title=title, facts=report.facts | {"table": kind}))
+                heading = report.title if report.title.startswith(kind) else f"{kind}: {report.title}"
+                reports.append(dataclasses.replace(report, title=heading, facts=report.facts | {"table": kind}))
     return reports
 
 
@@ -46,6 +45,6 @@ def _reports(
     except UserError as error:
         if len(sections) > 1:
             return [report for section in sections for report in _reports(make, [section], settings)]
-        problem, said = str(error), facts(sections[0], settings)
-        said["problems"] = [*said["problems"], problem]
-        return [Report(title_of(sections[0]), pd.DataFrame(), Grid((), ()), (problem,), said)]
+        problem, own = str(error), facts(sections[0], settings)
+        own["problems"].append(problem)
+        return [Report(title(sections[0]), pd.DataFrame(), Grid((), ()), (problem,), own)]

@@ -13,10 +13,9 @@ from collections.abc import Iterator, Sequence
 from typing import Any
 
 from rrmctl.planning.profiles import PAPER
-from rrmctl.reports.captions import contents_notes, merged_facts, statistics_notes, title
 from rrmctl.reports.claims import CLAIMS
-from rrmctl.reports.columns import estimated
-from rrmctl.reports.report import Column, Grid, Report, Row, some, tabled
+from rrmctl.reports.columns import Column, Grid, Row, estimated
+from rrmctl.reports.report import Report, contents_notes, merged_facts, some, statistics_notes, tabled, title
 from rrmctl.reports.series import Section
 from rrmctl.reports.statistics import LEVEL, Statistics
 from rrmctl.reports.verdicts import judge
@@ -53,21 +52,18 @@ def make(sections: Sequence[Section], settings: Statistics) -> list[Report]:
         if section.experiment in experiments:
             variant = (section.profile, repr(sorted(section.overrides.items())))
             variants.setdefault(variant, []).append(section)
-    reports = [_report(alike, settings) for alike in variants.values()]
-    return some(
-        reports, sections, "the paper's prose claims nothing of it", f"its claims are about {', '.join(experiments)}"
-    )
-
-
-def _report(sections: Sequence[Section], settings: Statistics) -> Report:
-    """Of sections of one profile and set of overrides, one an experiment."""
-    table, rows = tabled(COLUMNS, _rows(sections, settings))
-    grid = Grid.of(COLUMNS, [row for row in rows if row["decides"]])
-    verdicts = Counter({row["claim"]: row["verdict"] for row in rows}.values())
-    notes = [f"{len(CLAIMS)} claims: {', '.join(f'{count} {verdict}' for verdict, count in verdicts.items())}."]
-    notes += [f"{section.experiment}: {note}" for section in sections for note in contents_notes(section)]
-    notes += dict.fromkeys(note for section in sections for note in statistics_notes(section, settings))
-    return Report(title(sections[0], "claims"), table, grid, tuple(notes), merged_facts("claims", sections, settings))
+    reports = []
+    for alike in variants.values():
+        table, rows = tabled(COLUMNS, _rows(alike, settings))
+        grid = Grid.of(COLUMNS, [row for row in rows if row["decides"]])
+        verdicts = Counter({row["claim"]: row["verdict"] for row in rows}.values())
+        notes = [f"{len(CLAIMS)} claims: {', '.join(f'{count} {verdict}' for verdict, count in verdicts.items())}."]
+        notes += [f"{section.experiment}: {note}" for section in alike for note in contents_notes(section)]
+        notes += dict.fromkeys(note for section in alike for note in statistics_notes(section, settings))
+        facts = merged_facts("claims", alike, settings)
+        reports.append(Report(title(alike[0], "claims"), table, grid, tuple(notes), facts))
+    hint = f"its claims are about {', '.join(experiments)}"
+    return some(reports, sections, "the paper's prose claims nothing of it", hint)
 
 
 def _rows(sections: Sequence[Section], settings: Statistics) -> Iterator[dict[str, Any]]:
@@ -84,6 +80,6 @@ def _rows(sections: Sequence[Section], settings: Statistics) -> Iterator[dict[st
                 "comparison": str(finding.test), "reading": finding.test.reading.words, "unit": finding.unit, "n": 0,
                 "comparison_verdict": finding.verdict, "why": finding.why, "decides": finding is judgement.deciding,
             }  # fmt: skip
-            if finding.found is not None:
-                row |= finding.found.row("found") | {"n": finding.found.n}
+            if finding.estimate is not None:
+                row |= finding.estimate.row("found") | {"n": finding.estimate.n}
             yield row

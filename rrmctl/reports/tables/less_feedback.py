@@ -7,15 +7,14 @@ rows are the mean over all tasks.
 
 from __future__ import annotations
 
-import math
 from collections import defaultdict
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
 from rrmctl.labels import NOTHING_ASKED
-from rrmctl.reports.columns import COMPARED, METHOD, RUNS, SCORE, estimated, interval, number, pivoted
-from rrmctl.reports.report import NOTHING, Column, Grid, Report, Row, section_report, some
+from rrmctl.reports.columns import METHOD, RUNS, SCORE, Column, Grid, Row, estimated, pivoted
+from rrmctl.reports.report import Report, section_report, some
 from rrmctl.reports.scores import read_together, score
 from rrmctl.reports.series import Panel, Section, Series
 from rrmctl.reports.statistics import Statistics
@@ -39,20 +38,25 @@ _PLACE = (
     Column("teacher", TEXT, "Teacher", apart=()),
     Column("feedback", TEXT, "Feedback"),
 )
+_MEAN = estimated("mean_iqm", "Mean IQM")
 COLUMNS = (
     *_PLACE, METHOD, SCORE,
     *(Column(name, MAYBE_WHOLE) for name in ("first_step", "last_step", "evaluations")),
-    *estimated("mean_iqm", "Mean IQM"), *RUNS,
+    *_MEAN, *RUNS,
 )  # fmt: skip
 
 
 def make(sections: Sequence[Section], settings: Statistics) -> list[Report]:
-    """A table for each section in which a task is asked by several schedules."""
+    """A table for each section in which a task is key by several schedules."""
     reports = []
     for section in sections:
         if tasks := _asking(section):
             rows = _rows(tasks, settings)
-            reports.append(section_report(section, settings, COLUMNS, rows, grid=_grid, notes=_notes(rows)))
+            notes = [
+                f"{task}: {row['evaluations']} evaluations, from step {row['first_step']:,} to {row['last_step']:,}."
+                for task, row in {row["task"]: row for row in rows if row["task"] != EVERY_TASK}.items()
+            ]
+            reports.append(section_report(section, settings, COLUMNS, rows, grid=_grid, notes=notes))
     lacking = "no task has runs under several schedules of feedback"
     return some(reports, sections, lacking, "`rrmctl run less-feedback` makes them")
 
@@ -84,9 +88,9 @@ def _rows(tasks: Sequence[Sequence[Panel]], settings: Statistics) -> list[dict[s
                     everywhere[panel.teacher, panel.feedback, series.label.method].append((read[series], series))
     together = []
     if len(tasks) > 1 and {row["score"] for row in rows} == {"success"}:
-        for asked, members in everywhere.items():
+        for key, members in everywhere.items():
             if len(members) == len(tasks):
-                row = dict(zip(("teacher", "feedback", "method"), asked, strict=True))
+                row = dict(zip(("teacher", "feedback", "method"), key, strict=True))
                 row |= {name: sum(getattr(series, name) for _, series in members) for name in ("n", "planned")}
                 mean = score([values for values, _ in members], settings).estimate().row("mean_iqm")
                 together.append({"task": EVERY_TASK, "score": "success", **row, **mean})
@@ -94,21 +98,6 @@ def _rows(tasks: Sequence[Sequence[Panel]], settings: Statistics) -> list[dict[s
 
 
 def _grid(rows: Sequence[Row]) -> Grid:
-    """A row for each task and schedule, and a column for each method."""
-    return pivoted(
-        rows, _PLACE, lambda row: str(row["method"]), {"{}": _cell},
-        best=("mean_iqm", lambda row: tuple(row[name] for name in COMPARED)),
-    )  # fmt: skip
-
-
-def _cell(row: Row) -> str:
-    if math.isnan(row["mean_iqm"]):
-        return NOTHING
-    return f"{number(row['mean_iqm'], row['score'])} {interval(row['low'], row['high'], row['score'], row['n'])}"
-
-
-def _notes(rows: Sequence[Row]) -> Iterator[str]:
-    for row in {row["task"]: row for row in rows if row["task"] != EVERY_TASK}.values():
-        yield (
-            f"{row['task']}: {row['evaluations']} evaluations, from step {row['first_step']:,} to {row['last_step']:,}."
-        )
+    """A row for each task and schedule, and a column for each method, its interval in the same cell."""
+    cells = {"{}": lambda row: " ".join(dict.fromkeys(column.text(row) for column in _MEAN[:2]))}
+    return pivoted(rows, _PLACE, lambda row: str(row["method"]), cells, best="mean_iqm")

@@ -10,13 +10,14 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
+from functools import partial
 from typing import Any
 
 from rrmctl.labels import NOTHING_ASKED, ORACLE
 from rrmctl.reports import published
-from rrmctl.reports.columns import COMPARED, METHOD, RUNS, SCORE, STEP, estimated, pivoted, plus_minus
-from rrmctl.reports.report import NOTHING, Column, Grid, Report, Row, section_report, some
+from rrmctl.reports.columns import METHOD, NOTHING, RUNS, SCORE, STEP, Column, Grid, Row, estimated, pivoted, plus_minus
+from rrmctl.reports.report import Report, section_report, some
 from rrmctl.reports.series import Section
 from rrmctl.reports.statistics import Statistics
 from rrmctl.reports.tables.final import final_rows
@@ -58,7 +59,12 @@ def make(sections: Sequence[Section], settings: Statistics) -> list[Report]:
     reports, grid = [], _matrix if settings.plus_minus else None
     for section in sections:
         if rows := _rows(section, settings):
-            reports.append(section_report(section, settings, COLUMNS, rows, grid=grid, notes=_notes(section, rows)))
+            steps = {_place(row, (_TASK, _TEACHER, _FEEDBACK), rows): row["step"] for row in rows}
+            notes = [
+                f"Read at the last common step: {', '.join(f'{name} at {step:,}' for name, step in steps.items())}.",
+                f"Paper: {published.source(EXPERIMENT)}, at the paper's scale; ours is profile {section.profile}.",
+            ]
+            reports.append(section_report(section, settings, COLUMNS, rows, grid=grid, notes=notes))
     hint = "`rrmctl run noisy-teacher` makes them; `rrmctl report final` is the table for other experiments"
     return some(reports, sections, "there are no runs under a teacher who errs", hint)
 
@@ -79,17 +85,15 @@ def _matrix(rows: Sequence[Row]) -> Grid:
 
     Methods of which several would share a row keep rows of their own, and schedules of one teacher have columns.
     """
-    families = {(*(row[name] for name in COMPARED), _family(row["method"])) for row in rows}
+    families = {(row["task"], row["teacher"], row["feedback"], _family(row["method"])) for row in rows}
     named = _family if len(families) == len(rows) else str
     method = Column("method", TEXT, "Method", lambda row: named(row["method"]))
     cells = {
         "{}": lambda row: plus_minus(row["iqm"], (row["high"] - row["low"]) / 2, row["score"]),
         "paper": _paper,
     }
-    return pivoted(
-        rows, (_TASK, method), lambda row: _place(row, (_TEACHER, _FEEDBACK), rows), cells,
-        best=("iqm", lambda row: tuple(row[name] for name in COMPARED)),
-    )  # fmt: skip
+    head = partial(_place, columns=(_TEACHER, _FEEDBACK), rows=rows)
+    return pivoted(rows, (_TASK, method), head, cells, best="iqm")
 
 
 def _place(row: Row, columns: Sequence[Column], rows: Sequence[Row]) -> str:
@@ -103,9 +107,3 @@ def _family(method: str) -> str:
         return _BASELINE
     residual = _RESIDUAL.fullmatch(method)
     return f"rrm-{residual[1]}" if residual else method
-
-
-def _notes(section: Section, rows: Sequence[Row]) -> Iterator[str]:
-    steps = {_place(row, (_TASK, _TEACHER, _FEEDBACK), rows): row["step"] for row in rows}
-    yield f"Read at the last common step: {', '.join(f'{name} at {step:,}' for name, step in steps.items())}."
-    yield f"Paper: {published.source(EXPERIMENT)}, at the paper's scale; ours is profile {section.profile}."

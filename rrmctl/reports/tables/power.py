@@ -9,14 +9,14 @@ rules are those of `rrmctl run NAME --until-decided` where that was begun.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
-from rrmctl.reports.columns import METHOD, PLACE, SCORE, estimated
+from rrmctl.reports.columns import METHOD, NOTHING, PLACE, SCORE, Column, Row, estimated
 from rrmctl.reports.pairwise import Contest, Contests, decide, without_score
-from rrmctl.reports.report import NOTHING, Column, Report, Row, section_report
+from rrmctl.reports.report import Report, section_report
 from rrmctl.reports.series import Section
 from rrmctl.reports.statistics import BOOTSTRAP_SEED, LEVEL, SURE, Statistics
 from rrmctl.stats import Iqm, difference, improvement, outlook
@@ -64,20 +64,28 @@ COLUMNS = (
 
 def make(sections: Sequence[Section], settings: Statistics) -> list[Report]:
     """A table for each section."""
-    return [_report(section, settings) for section in sections]
-
-
-def _report(section: Section, settings: Statistics) -> Report:
-    contests = decide(section, section.trial)
-    design, refused = contests.design, [why for series in section.series for why in without_score(series)]
-    rules = {
-        "group": design.group, "looks": design.looks, "alpha": design.alpha, "comparisons": len(contests.all),
-        "fixed_in_advance": section.trial is not None,
-    }  # fmt: skip
-    rows = [_row(contest, contests, settings) for contest in contests.all if contest.ours.size]
-    problems = [*section.problems, *refused]
-    notes = (*refused, *_notes(section, contests))
-    return section_report(section, settings, COLUMNS, rows, notes=notes, test=rules, problems=problems)
+    reports = []
+    for section in sections:
+        contests, refused = decide(section, section.trial), [*without_score(section)]
+        design, compared = contests.design, len(contests.all)
+        notes = [
+            *refused,
+            f"Decisions: after every {design.group} seeds, at most {design.looks} times, over {compared} "
+            f"comparisons with one error rate of {100 * design.alpha:g} %.",
+        ]
+        if section.trial is None:
+            notes.append(
+                "No rules were fixed before these runs: the error rate holds only if how many seeds there are did not "
+                "follow from what they showed."
+            )
+        rules = {
+            "group": design.group, "looks": design.looks, "alpha": design.alpha, "comparisons": compared,
+            "fixed_in_advance": section.trial is not None,
+        }  # fmt: skip
+        rows = [_row(contest, contests, settings) for contest in contests.all if contest.ours.size]
+        facts: dict[str, Any] = {"test": rules, "problems": [*section.problems, *refused]}
+        reports.append(section_report(section, settings, COLUMNS, rows, notes=notes, **facts))
+    return reports
 
 
 def _row(contest: Contest, contests: Contests, settings: Statistics) -> dict[str, Any]:
@@ -93,16 +101,3 @@ def _row(contest: Contest, contests: Contests, settings: Statistics) -> dict[str
         "more": ahead.more if ahead else None, "chance": ahead.share if ahead else np.nan,
         "most": contests.design.seeds,
     }  # fmt: skip
-
-
-def _notes(section: Section, contests: Contests) -> Iterator[str]:
-    design = contests.design
-    yield (
-        f"Decisions: after every {design.group} seeds, at most {design.looks} times, over {len(contests.all)} "
-        f"comparisons with one error rate of {100 * design.alpha:g} %."
-    )
-    if section.trial is None:
-        yield (
-            "No rules were fixed before these runs: the error rate holds only if how many seeds there are did not "
-            "follow from what they showed."
-        )

@@ -16,13 +16,12 @@ import numpy as np
 from rrm.envs.tasks import ScoreKind
 from rrmctl.planning.profiles import PAPER
 from rrmctl.reports import published
-from rrmctl.reports.columns import COMPARED, METHOD, RUNS, SCORE, estimated, number, pivoted, step
+from rrmctl.reports.columns import COMPARED, METHOD, RUNS, SCORE, STEP, Column, Grid, Row, estimated, number, pivoted
 from rrmctl.reports.published import Checkpoint
-from rrmctl.reports.report import NOTHING, Column, Grid, Report, Row, section_report, some
+from rrmctl.reports.report import Report, section_report, some
 from rrmctl.reports.scores import score
 from rrmctl.reports.series import SCORE_COLUMN, Section, Series, finite
 from rrmctl.reports.statistics import SURE, Statistics
-from rrmctl.stats import Steps
 from rrmctl.store.frame import MAYBE_WHOLE, NUMBER, TEXT, WHOLE
 
 EXPERIMENT = "sim-to-real"
@@ -42,14 +41,11 @@ COLUMNS = (
 
 def make(sections: Sequence[Section], settings: Statistics) -> list[Report]:
     """A table for each section with runs of the simulated robot."""
-    reports = []
+    reports, source = [], f"Paper: {published.source(EXPERIMENT)}, on a physical robot; ours is of the simulation"
     for section in sections:
-        note = (
-            f"Paper: {published.source(EXPERIMENT)}, on a physical robot; ours is of the simulation, profile "
-            f"{section.profile}."
-        )
         if rows := list(_rows(section, settings)):
-            reports.append(section_report(section, settings, COLUMNS, rows, grid=_grid, notes=[note]))
+            notes = [f"{source}, profile {section.profile}."]
+            reports.append(section_report(section, settings, COLUMNS, rows, grid=_grid, notes=notes))
     lacking = f"there are no runs of {', '.join(published.deployed_tasks())}"
     return some(reports, sections, lacking, "`rrmctl list` names what there is to run")
 
@@ -59,35 +55,31 @@ def _rows(section: Section, settings: Statistics) -> Iterator[dict[str, Any]]:
     for series in section.series:
         if series.label.task in published.deployed_tasks():
             for checkpoint in published.checkpoints(series.label.task, series.label.method):
-                for kind in SCORE_COLUMN:
-                    yield _row(series, checkpoint, kind, section.profile, settings)
+                for kind, theirs in checkpoint.scores.items():
+                    row = {
+                        **series.label._asdict(), "score": kind, "paper_step": checkpoint.step, "n": 0,
+                        "planned": series.planned, "published": theirs,
+                    }  # fmt: skip
+                    ours = _ours(series, checkpoint, kind, section.profile, settings)
+                    yield row | ours | ({"difference": ours["iqm"] - theirs} if ours else {})
 
 
-def _row(series: Series, checkpoint: Checkpoint, kind: ScoreKind, profile: str, settings: Statistics) -> dict[str, Any]:
-    theirs = checkpoint.success if kind == "success" else checkpoint.true_return
-    row: dict[str, Any] = {
-        **series.label._asdict(), "score": kind, "paper_step": checkpoint.step, "n": 0, "planned": series.planned,
-        "published": theirs,
-    }  # fmt: skip
-    if series.n:
-        steps, values = finite(*series.measure(SCORE_COLUMN[kind]))
-        at = _position(series, steps, checkpoint, profile)
-        if at is not None:
-            row |= {"step": int(steps[at]), "n": series.n, **score([values[:, [at]]], settings).estimate().row("iqm")}
-            row["difference"] = row["iqm"] - theirs
-    return row
+def _ours(
+    series: Series, checkpoint: Checkpoint, kind: ScoreKind, profile: str, settings: Statistics
+) -> dict[str, Any]:
+    """What is measured at the evaluation that stands for a checkpoint, where there is one yet.
 
-
-def _position(series: Series, steps: Steps, checkpoint: Checkpoint, profile: str) -> int | None:
-    """Which evaluation stands for a checkpoint; None where there is none yet.
-
-    That is so too for a shorter training under way, of which nobody knows how long it is going to be.
+    There is none of a shorter training under way, of which nobody knows how long it is going to be.
     """
-    if profile != PAPER and not series.finished:
-        return None
+    if not series.n or (profile != PAPER and not series.finished):
+        return {}
+    steps, values = finite(*series.measure(SCORE_COLUMN[kind]))
     due = checkpoint.step if profile == PAPER else round(checkpoint.share * int(series.rows["step"].max()))
     reached = np.flatnonzero(steps <= due)
-    return int(reached[-1]) if reached.size and steps[-1] >= due else None
+    if not reached.size or steps[-1] < due:
+        return {}
+    here = score([values[:, [reached[-1]]]], settings).estimate().row("iqm")
+    return {"step": int(steps[reached[-1]]), "n": series.n, **here}
 
 
 def _grid(rows: Sequence[Row]) -> Grid:
@@ -98,12 +90,11 @@ def _grid(rows: Sequence[Row]) -> Grid:
         Column("paper_step", TEXT, "Checkpoint", lambda row: f"{row['paper_step']:,}"),
         METHOD,
     )
-    reached = Column("step", MAYBE_WHOLE, "Step", lambda row: step(row) if row["n"] else NOTHING)
     return pivoted(
         sorted(rows, key=lambda row: (tasks.index(row["task"]), row["paper_step"])), places,
         lambda row: str(row["score"]).capitalize(),
         {"{}": IQM[0].text, f"{{}}, {SURE}": IQM[1].text, "{}, paper": _beside},
-        best=("iqm", lambda row: (row["task"], row["paper_step"], row["score"])), beside=[reached],
+        best="iqm", compared=("task", "paper_step", "score"), beside=[STEP],
     )  # fmt: skip
 
 

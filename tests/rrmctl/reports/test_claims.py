@@ -77,7 +77,7 @@ def test_two_methods_are_resampled_apart():
     found = store({"rrm-proxy": 0.6, "pebble": 0.4}, spread=0.2)
     (difference,) = judge(claim(*above("pebble", "rrm-proxy", reading=FINAL)), {"e": found}, QUICK).findings
     (alone,) = judge(claim(*at_least(0.1, "pebble")), {"e": found}, QUICK).findings
-    width, single = (float(each.found.high - each.found.low) for each in (difference, alone))
+    width, single = (float(each.estimate.high - each.estimate.low) for each in (difference, alone))
     assert 1.2 < width / single < 1.6
 
 
@@ -94,7 +94,7 @@ def test_many_comparisons_are_not_refuted_by_chance():
     """What refutes a claim by itself does not as one of fifty: one of so many is soon beyond its interval by chance."""
     found = store({"sac-proxy": 0.66}, spread=0.1, seeds=10)
     values = found.series[0].values
-    low = float(judge(claim(*below(0.5, "sac-proxy")), {"e": found}, QUICK).findings[0].found.low)
+    low = float(judge(claim(*below(0.5, "sac-proxy")), {"e": found}, QUICK).findings[0].estimate.low)
     bound = low - 0.001
     assert values.mean() < bound
     assert verdict(below(bound, "sac-proxy"), found) == "not held"
@@ -125,7 +125,7 @@ def test_readings():
 
     def read(reading):
         (finding,) = judge(claim(*at_least(0.1, "pebble", reading=reading)), {"e": found}, QUICK).findings
-        return float(finding.found.estimate)
+        return float(finding.estimate.estimate)
 
     assert read(FINAL) == pytest.approx(0.8)
     assert read(MEAN) == pytest.approx(0.5)
@@ -141,7 +141,7 @@ def test_few_seeds_do_not_seem_steadier(seeds, expected):
     found = store({"pebble": 0.5}, seeds=seeds)
     reading = Reading(words="spread", spread=True)
     (finding,) = judge(claim(*at_least(0.0, "pebble", reading=reading)), {"e": found}, QUICK).findings
-    assert float(finding.found.estimate) == pytest.approx(expected, nan_ok=True)
+    assert float(finding.estimate.estimate) == pytest.approx(expected, nan_ok=True)
 
 
 def test_schedules_are_found_at_every_scale():
@@ -151,7 +151,7 @@ def test_schedules_are_found_at_every_scale():
         ends = dict(zip(labels, (0.9, 0.2, 0.3), strict=True))
         series = {("button-press", "pebble", "oracle", name): curve(end, end) for name, end in ends.items()}
         judged = judge(claim(*tests), {"e": section("e", series, steps=[1, 2])}, QUICK)
-        assert [float(each.found.estimate) for each in judged.findings] == pytest.approx([0.2, 0.3])
+        assert [float(each.estimate.estimate) for each in judged.findings] == pytest.approx([0.2, 0.3])
         assert judged.verdict == "held"
 
 
@@ -161,7 +161,7 @@ def test_pooled_tasks_are_one_number():
     found = section("e", {labels[0]: curve(0.2), labels[1]: curve(0.8)}, steps=[1])
     pooled = claim(*at_least(0.1, "pebble"), tasks=("button-press", "door-open"), pooled=True)
     (finding,) = judge(pooled, {"e": found}, QUICK).findings
-    assert (float(finding.found.estimate), finding.found.n) == (pytest.approx(0.5), 5)
+    assert (float(finding.estimate.estimate), finding.estimate.n) == (pytest.approx(0.5), 5)
     half = section("e", {labels[0]: curve(0.2)}, steps=[1])
     assert judge(pooled, {"e": half}, QUICK).verdict == "not enough data"
 
@@ -178,7 +178,7 @@ def test_measured_columns_are_claimed_too():
     by_name = {each.name: judge(each, {"opposite-prior": found}, QUICK) for each in CLAIMS}
     names = ("opposite-prior-first", "opposite-accuracy", "opposite-residual-last")
     assert [by_name[name].verdict for name in names] == ["held", "held", "held"]
-    assert float(by_name["opposite-residual-last"].findings[0].found.estimate) == pytest.approx(1.5)
+    assert float(by_name["opposite-residual-last"].findings[0].estimate.estimate) == pytest.approx(1.5)
     told["label_accuracy"][:, 4] = np.nan
     broken = section("opposite-prior", {("button-press", "rrm-opposite", "oracle", FULL): told}, steps=STEPS)
     (accuracy,) = (each for each in CLAIMS if each.name == "opposite-accuracy")
@@ -200,7 +200,7 @@ def test_every_claim_is_one_of_a_manifest(experiment):
     for each in (each for each in CLAIMS if each.experiment == experiment):
         judged = judge(each, {experiment: found}, Statistics(replicates=100))
         assert {finding.why for finding in judged.findings} <= {"", "the interval allows both"}, each.name
-        assert all(finding.found.n == 3 for finding in judged.findings)
+        assert all(finding.estimate.n == 3 for finding in judged.findings)
 
 
 ENTRY = {"arms": ["pebble"], "below": 0.5, "reading": "final"}

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from rrmctl.reports.captions import COVERAGE
+from rrmctl.reports.report import COVERAGE
 from rrmctl.stats import Iqm, iqm, resample
 
 

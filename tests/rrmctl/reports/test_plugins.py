@@ -15,9 +15,10 @@ from rich.console import Console
 
 import rrmctl
 from rrmctl.errors import UserError
-from rrmctl.reports.frames import table
+from rrmctl.reports.columns import Column, Grid, highest
+from rrmctl.reports.dataframes import report_table
 from rrmctl.reports.render import FORMATS, print_terminal, to_text
-from rrmctl.reports.report import Column, Grid, Report, highest, tabled
+from rrmctl.reports.report import Report, tabled
 from rrmctl.reports.select import read_sections
 from rrmctl.reports.statistics import Statistics
 from rrmctl.reports.tables import kinds
@@ -31,8 +32,8 @@ For a test.
 
 import pandas as pd
 
-from rrmctl.reports.report import Grid, Report
-from rrmctl.reports.captions import facts, title
+from rrmctl.reports.columns import Grid
+from rrmctl.reports.report import Report, facts, title
 
 EXPERIMENT = None
 {options}
@@ -181,13 +182,13 @@ def test_groups_are_named_once(grid):
     """A name stands where its group begins and nowhere else; nothing but the first column changes."""
     header, rows = grid
     made = Grid(tuple(header), tuple(map(tuple, rows)), 1)
-    shown, name = made.named_once(), None
-    for row, whole in zip(shown, made.rows, strict=True):
+    name, ended = None, False
+    for (row, last), whole in zip(made.grouped(), made.rows, strict=True):
         assert row[0] == ("" if whole[0] == name else whole[0])
         assert row[1:] == whole[1:]
-        name = whole[0]
-    assert len(made.ends()) == len(rows)
-    assert not made.ends() or made.ends()[-1] is False
+        assert not ended or row[0] == whole[0]
+        name, ended = whole[0], last
+    assert ended is False
 
 
 @given(st.lists(st.tuples(st.sampled_from("ab"), st.floats(-10, 10) | st.just(math.nan)), max_size=8))
@@ -207,11 +208,11 @@ def test_a_table_is_a_frame_in_a_notebook(tmp_path):
     Sweep().write(tmp_path)
     Sweep(profile="smoke", variant="smoke").write(tmp_path)
     settings = Statistics(replicates=100)
-    found = table("iqm", tmp_path, "main-results", settings=settings)
+    found = report_table("iqm", tmp_path, "main-results", settings=settings)
     assert list(found.columns[:4]) == ["experiment", "profile", "variant", "task"]
     assert list(found["profile"].unique()) == ["laptop", "smoke"]
     wanted = pd.concat([report.table for report in make(read_sections(tmp_path), settings)], ignore_index=True)
     pd.testing.assert_frame_equal(found[wanted.columns], wanted)
-    assert set(table("iqm", tmp_path, profile="smoke", settings=settings)["profile"]) == {"smoke"}
+    assert set(report_table("iqm", tmp_path, profile="smoke", settings=settings)["profile"]) == {"smoke"}
     with pytest.raises(UserError, match='did you mean "less-feedback"'):
-        table("less-feedbak", tmp_path)
+        report_table("less-feedbak", tmp_path)

@@ -6,8 +6,8 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
-from rrmctl.reports.captions import EXPLAINED
 from rrmctl.reports.render import FORMATS, print_terminal, to_text
+from rrmctl.reports.report import EXPLAINED
 from rrmctl.reports.select import sections
 from rrmctl.reports.statistics import Statistics
 from rrmctl.reports.tables import kinds

@@ -9,8 +9,7 @@ from hypothesis import strategies as st
 from scipy.stats import trim_mean
 
 from rrmctl.stats import Iqm, bootstrap, iqm, resample
-from rrmctl.stats.aggregate import iqm_weights, iqm_window
-from rrmctl.stats.counting import count_draws
+from rrmctl.stats.aggregate import count_draws, iqm_weights, iqm_window
 
 KINDS = ("rliable", "exact")
 

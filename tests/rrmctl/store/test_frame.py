@@ -11,7 +11,7 @@ import pytest
 
 from rrmctl.export.bundle import Bundle, read
 from rrmctl.reports import run_facts
-from rrmctl.reports.frames import table as report
+from rrmctl.reports.dataframes import report_table as report
 from rrmctl.reports.iqm_curves import curve_table, iqm_table
 from rrmctl.reports.select import read_sections
 from rrmctl.reports.tables import kinds

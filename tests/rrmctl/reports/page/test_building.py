@@ -16,12 +16,13 @@ from typer.testing import CliRunner
 from rrmctl.cli.app import app
 from rrmctl.errors import UserError
 from rrmctl.reports import run_facts
+from rrmctl.reports.columns import Grid
 from rrmctl.reports.figures import figures
 from rrmctl.reports.page.assembly import build, render
 from rrmctl.reports.page.chapter import MOST_BYTES, SEVERAL, gather, picture
 from rrmctl.reports.page.listings import clock
 from rrmctl.reports.page.parts import Column, Part, Picture, Table, identifier
-from rrmctl.reports.report import Grid, Report
+from rrmctl.reports.report import Report
 from rrmctl.reports.select import read_sections
 from rrmctl.reports.statistics import Statistics
 from rrmctl.reports.tables import kinds

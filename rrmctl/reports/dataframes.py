@@ -1,4 +1,4 @@
-"""The tables as DataFrames, for notebooks: `table("less-feedback", "results/reference")`."""
+"""The tables as DataFrames, for notebooks: `report_table("less-feedback", "results/reference")`."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 _NULLABLE = {"int64": MAYBE_WHOLE, "bool": "boolean"}
 
 
-def table(
+def report_table(
     kind: str,
     results: str | Path = "results",
     experiment: str | None = None,
@@ -28,16 +28,8 @@ def table(
 ) -> pd.DataFrame:
     """What `rrmctl report KIND [EXPERIMENT]` shows, in raw values: success as a fraction, NaN where there is nothing.
 
-    Args:
-        kind: a table, as on the command line.
-        results: the results root.
-        experiment: default the kind's own, or all.
-        profile: default all.
-        allow_mixed: as `--allow-mixed`.
-        settings: kind of IQM and replicates.
-
-    Returns:
-        `experiment, profile, variant`, then the columns of the table (docs/reports.md).
+    The arguments are those of the command line. The columns are `experiment, profile, variant`, then those of the table
+    (docs/reports.md).
 
     Raises:
         UserError: no such table, nothing to show, or runs that do not belong together.
@@ -49,9 +41,9 @@ def table(
     reports = module.make(of_profile(sections, profile), settings)
     whose = ("experiment", "profile", "variant")
     tables = [report.table.assign(**{name: report.facts[name] for name in whose}) for report in reports]
-    common = set.intersection(*(set(frame.columns) for frame in tables))
-    for at, frame in enumerate(tables):  # what some tables lack keeps its type beside them
-        wider = {name: _NULLABLE.get(str(kind)) for name, kind in frame.dtypes.items() if name not in common}
-        tables[at] = frame.astype({name: kind for name, kind in wider.items() if kind})
+    common = set.intersection(*(set(table.columns) for table in tables))
+    for at, table in enumerate(tables):  # what some tables lack keeps its type beside them
+        wider = {name: _NULLABLE.get(str(kind)) for name, kind in table.dtypes.items() if name not in common}
+        tables[at] = table.astype({name: kind for name, kind in wider.items() if kind})
     whole = typed(pd.concat(tables, ignore_index=True))
     return whole.reindex(columns=[*whose, *(name for name in whole.columns if name not in whose)])
