@@ -5,10 +5,10 @@ It waits for pipes and exit codes only, and ends what is silent for too long or 
 
 from __future__ import annotations
 
-import selectors
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
+from multiprocessing.connection import wait
 from typing import TYPE_CHECKING
 
 from rrmctl.running.executor import Ended, Event, WorkOrder
@@ -33,26 +33,20 @@ class LocalExecutor:
     command: Sequence[str] = WORKER
     _children: dict[str, Child] = field(default_factory=dict, init=False)
     _waking: WakingTime = field(default_factory=WakingTime, init=False)
-    _selector: selectors.BaseSelector = field(default_factory=selectors.DefaultSelector, init=False)
     _stopping: bool = field(default=False, init=False)
     _weighed: float = field(default=0.0, init=False)  #: when the memory of workers was last looked at
 
     def submit(self, order: WorkOrder) -> None:
-        child = Child(self.layout, order, command=self.command, clock=self._waking)
-        self._children[order.run] = child
-        self._selector.register(child, selectors.EVENT_READ)
+        self._children[order.run] = Child(self.layout, order, command=self.command, clock=self._waking)
 
     def events(self, wait_s: float) -> Iterator[Event]:
-        if not self._children:  # a selector of nothing may not wait
-            time.sleep(wait_s)
-        for key, _ in self._selector.select(wait_s) if self._children else ():
-            yield from self._hear(key.fileobj)  # type: ignore[arg-type]  # only children are registered
+        speaking = {child.pipe: child for child in self._children.values() if child.open}
+        for pipe in wait([*speaking], wait_s):
+            yield from speaking[pipe].events()  # type: ignore[index]  # they come back as they were given
         self._end_misbehaving()
         for child in [child for child in self._children.values() if child.ended()]:
-            yield from self._hear(child)
-            if child.open:
-                self._selector.unregister(child)
-                child.close()
+            yield from child.events()
+            child.close()
             del self._children[child.job]
             yield Ended(child.job, child.outcome(stopping=self._stopping))
 
@@ -71,13 +65,6 @@ class LocalExecutor:
         for child in self._children.values():
             child.wait()
         self._children.clear()
-        self._selector.close()
-
-    def _hear(self, child: Child) -> list[Event]:
-        events = child.events()
-        if not child.open and child in self._selector.get_map():
-            self._selector.unregister(child)
-        return events
 
     def _end_misbehaving(self) -> None:
         """End workers that are silent for too long, and those that take too much memory."""

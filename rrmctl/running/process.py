@@ -58,7 +58,6 @@ class Child:
         self,
         layout: Layout,
         order: WorkOrder,
-        *,
         command: Sequence[str] = WORKER,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
@@ -70,14 +69,14 @@ class Child:
         self._ended_for: RunError | None = None  # why its parent ended it
         self._text = b""  # of a line that is not complete
         self._memory_kills = _killed_for_memory()
-        self._pipe, writing = os.pipe()
+        self.pipe, writing = os.pipe()  # descriptors; messages arrive on the first
         # Absolute: code of the user's may change the folder.
         words = [*command, str(layout.root.absolute()), order.run, *order.options]
         log = layout.run(order.run).log
         try:
             output = os.open(log, os.O_WRONLY | os.O_APPEND | os.O_CREAT | os.O_CLOEXEC, 0o666)
         except OSError as error:
-            os.close(self._pipe)
+            os.close(self.pipe)
             os.close(writing)
             raise storage_error(log, error) from error
         try:
@@ -87,23 +86,19 @@ class Child:
                 start_new_session=True, env=worker_environment(order.threads),
             )  # fmt: skip
         except BaseException:
-            os.close(self._pipe)
+            os.close(self.pipe)
             raise
         finally:
             os.close(writing)
             os.close(output)
-        os.set_blocking(self._pipe, False)
-
-    def fileno(self) -> int:
-        """The descriptor that messages arrive on, for selectors."""
-        return self._pipe
+        os.set_blocking(self.pipe, False)
 
     def events(self) -> list[Event]:
         """What has arrived since the last call, whole lines only. Closes the pipe at its end."""
         events: list[Event] = []
         while self.open:
             try:
-                data = os.read(self._pipe, 65536)
+                data = os.read(self.pipe, 65536)
             except BlockingIOError:
                 break
             if not data:
@@ -111,41 +106,38 @@ class Child:
                 break
             self.heard = self._clock()
             *lines, self._text = (self._text + data).split(b"\n")
-            events += filter(None, map(self._event, lines))
+            for line in lines:
+                try:
+                    message: Any = json.loads(line)
+                except ValueError:
+                    message = None
+                match message:
+                    case {"event": str(name), **fields} if name in _EVENTS:
+                        events.append(_EVENTS[name](self.job, **fields))  # type: ignore[arg-type]  # JSON's keys are texts
+                    case {"event": "error", "kind": kind, "type": name, "message": text}:
+                        self._error = RunError(kind=ErrorKind(kind), type=name, message=text)
+                    case {"event": _}:
+                        pass  # a sign of life and no more
+                    case _:  # passed on for people to read rather than end the sweep
+                        events.append(Note(self.job, repr(line)))
         return events
-
-    def _event(self, line: bytes) -> Event | None:
-        """What a line says; one that is no message is passed on for people to read rather than end the sweep."""
-        try:
-            message: Any = json.loads(line)
-        except ValueError:
-            message = None
-        match message:
-            case {"event": str(name), **fields} if name in _EVENTS:
-                return _EVENTS[name](self.job, **fields)  # type: ignore[arg-type]  # keys of JSON are texts
-            case {"event": "error", "kind": kind, "type": name, "message": text}:
-                self._error = RunError(kind=ErrorKind(kind), type=name, message=text)
-        return None if isinstance(message, dict) and "event" in message else Note(self.job, repr(line))
 
     def close(self) -> None:
         """Stop listening."""
         if self.open:
             self.open = False
-            os.close(self._pipe)
+            os.close(self.pipe)
 
     def ended(self) -> bool:
         """True once the process is gone; what it had started is ended with it."""
-        if not self._over():
-            return False
-        self.kill()
-        self._process.wait()
-        return True
-
-    def _over(self) -> bool:
-        """Whether the process has ended. It is not reaped by that: until it is no other group can have its number."""
-        with contextlib.suppress(AttributeError, ChildProcessError):  # macOS; who started us ignores SIGCHLD
-            return os.waitid(os.P_PID, self._process.pid, os.WEXITED | os.WNOHANG | os.WNOWAIT) is not None
-        return self._process.poll() is not None
+        try:  # not reaped by this look: until it is no other group can have its number
+            over = os.waitid(os.P_PID, self._process.pid, os.WEXITED | os.WNOHANG | os.WNOWAIT) is not None
+        except (AttributeError, ChildProcessError):  # macOS; who started us ignores SIGCHLD
+            over = self._process.poll() is not None
+        if over:
+            self.kill()
+            self._process.wait()
+        return over
 
     def ask_to_stop(self) -> None:
         """Have it checkpoint and leave."""
@@ -186,22 +178,19 @@ class Child:
             return Outcome(_ENDINGS[code])
         if self._error is None and stopping and -code in (signal.SIGKILL, signal.SIGTERM):
             return Outcome(Stage.STOPPED)  # too slow to leave, or not begun; its last checkpoint holds
-        return Outcome(Stage.FAILED, self._error or self._ended_for or self._unspoken(code))
-
-    def _unspoken(self, code: int) -> RunError:
-        """Why a worker is gone that could not say so itself."""
+        names = {-number.value: number.name for number in signal.Signals}
+        name, kind, reason = names.get(code, f"signal {-code}"), ErrorKind.CRASHED, f"killed by signal {-code}"
         if code in _UNHEARD:
             kind, reason = _UNHEARD[code]
-            return RunError(kind=kind, type=kind.capitalize(), message=f"{reason}; its log says more")
-        if code >= 0:
-            return RunError(kind=ErrorKind.CRASHED, type="Exit", message=f"left with exit code {code}")
-        kind, reason = ErrorKind.CRASHED, f"killed by signal {-code}"
-        if -code == signal.SIGKILL and _killed_for_memory() > self._memory_kills:
+            name, reason = kind.capitalize(), f"{reason}; its log says more"
+        elif code >= 0:
+            name, reason = "Exit", f"left with exit code {code}"
+        elif -code == signal.SIGKILL and _killed_for_memory() > self._memory_kills:
             kind, reason = ErrorKind.MEMORY, "killed by the system for want of memory"
         elif -code in _SENT:
             kind, reason = ErrorKind.KILLED, f"{reason} from outside"
-        names = {number.value: number.name for number in signal.Signals}
-        return RunError(kind=kind, type=names.get(-code, f"signal {-code}"), message=reason)
+        error = self._error or self._ended_for or RunError(kind=kind, type=name, message=reason)
+        return Outcome(Stage.FAILED, error)
 
 
 def _killed_for_memory() -> int:

@@ -130,13 +130,19 @@ class Supervisor:
                 self._conclude(job, settled)
                 continue
             self.scheduler.start(job)
+            terms, options = self._terms[job], ["--asked", json.dumps(list(self.asked))]
+            if terms.fresh:
+                options += ["--fresh", str(terms.attempt)]
+            if (beat := self._silent.pop(job, None)) is not None:
+                options += ["--take-over", f"{beat.owner}:{beat.count}"]
             try:
-                self._launch(job)
+                self.executor.submit(WorkOrder(run=job, threads=terms.threads, options=tuple(options)))
             except StorageError as error:
                 self._conclude(job, _failure(ErrorKind.STORAGE, "StorageError", str(error)))
             except OSError as error:
                 self._wait_for_the_system(job, error)
                 return
+            self._launched.add(job)
             self._refusals = 0
 
     def _wait_for_the_system(self, job: str, error: OSError) -> None:
@@ -150,15 +156,6 @@ class Supervisor:
         pause = 2.0 ** min(self._refusals - 1, 6)
         self.watcher.note(job, f"no process can be started: {error.strerror}; trying again in {pause:.0f} s")
         self._start_at = time.monotonic() + pause
-
-    def _launch(self, job: str) -> None:
-        terms, options = self._terms[job], ["--asked", json.dumps(list(self.asked))]
-        if terms.fresh:
-            options += ["--fresh", str(terms.attempt)]
-        if (beat := self._silent.pop(job, None)) is not None:
-            options += ["--take-over", f"{beat.owner}:{beat.count}"]
-        self.executor.submit(WorkOrder(run=job, threads=terms.threads, options=tuple(options)))
-        self._launched.add(job)
 
     def _look_elsewhere(self) -> None:
         """Take over runs that other processes gave up, and take note of those they finished."""
