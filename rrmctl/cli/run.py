@@ -144,11 +144,11 @@ def resume(
     from rrmctl.store.layout import open_results
     from rrmctl.store.provenance import read_config
     from rrmctl.store.status import statuses
-    from rrmctl.store.sweeps import find_sweeps, readable_sweeps
+    from rrmctl.store.sweeps import read_sweeps, readable_sweeps
 
     screen = console(unfailing(sys.stderr))
     layout = open_results(results)
-    sweeps, damage = readable_sweeps(layout) if name is None else (find_sweeps(layout, name), [])
+    sweeps, damage = readable_sweeps(layout) if name is None else (read_sweeps(layout, name), [])
     note_damage(damage)
     if not sweeps:
         begin = rrmctl("run", "quickstart", results=results)

@@ -38,15 +38,10 @@ class Machine:
         return self.host == other.host or self.boot == other.boot != ""
 
 
-def _here() -> Machine:
-    try:
-        boot = Path("/proc/sys/kernel/random/boot_id").read_text().strip()
-    except OSError:
-        boot = ""  # the name alone has to do
-    return Machine(socket.gethostname(), boot)
-
-
-HERE = _here()
+_boot = ""  # the name alone has to do
+with contextlib.suppress(OSError):
+    _boot = Path("/proc/sys/kernel/random/boot_id").read_text().strip()
+HERE = Machine(socket.gethostname(), _boot)
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import dataclasses
 import os
-from collections.abc import Iterable
+import statistics
+from collections import defaultdict
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from enum import StrEnum
 
@@ -18,7 +20,7 @@ from rrmctl.store.locks import PATIENCE_S
 from rrmctl.store.owner import is_owned, lock_free
 from rrmctl.store.records import read_record, write_json
 from rrmctl.store.schema import SCHEMA_VERSION
-from rrmctl.store.sweeps import Job
+from rrmctl.store.sweeps import Job, readable_sweeps
 
 
 class RunState(StrEnum):
@@ -118,9 +120,6 @@ def run_status(folder: RunFolder) -> Status:
     """Where the run stands now: one that says it is running while nobody owns it is interrupted.
 
     A status file that is damaged, or cannot be read now, gives the state `unreadable` with the reason.
-
-    Raises:
-        VersionError: it is of another schema version.
     """
     try:
         status = read_status(folder)
@@ -163,6 +162,28 @@ def blocked_by(run: str, error: RunError | None) -> RunError:
         return error  # the first cause says it all
     reason = f"run {run}, which it needs, failed: {error or 'no reason was recorded'}"
     return RunError(kind=ErrorKind.BLOCKED, type="Blocked", message=reason)
+
+
+def speeds(jobs: Iterable[Job], states: Mapping[str, Status]) -> dict[tuple[str, str], float]:
+    """The median speed of what has run so far, by task and method: environment steps per second, evaluation counted in
+    where a run is done.
+    """
+    seen: defaultdict[tuple[str, str], list[float]] = defaultdict(list)
+    for job in jobs:
+        status = states[job.id]
+        took = status.wall_s if status.state is RunState.DONE else None
+        if speed := status.step / took if took else status.steps_per_s:
+            seen[job.task, job.method].append(speed)
+    return {key: statistics.median(values) for key, values in seen.items()}
+
+
+def stored_speeds(layout: Layout, known: Mapping[str, Status] | None = None) -> dict[tuple[str, str, str], float]:
+    """The same of the store's runs, by task, method and variant; of those in `known` it is read already."""
+    states, jobs = dict(known or {}), defaultdict[str, list[Job]](list)
+    for sweep in readable_sweeps(layout)[0]:
+        states |= statuses(layout, (job for job in sweep.everything if job.id not in states))
+        jobs[sweep.variant] += sweep.everything
+    return {(*key, variant): speed for variant, own in jobs.items() for key, speed in speeds(own, states).items()}
 
 
 def log_tail(folder: RunFolder, lines: int = 15) -> list[str]:

@@ -36,23 +36,14 @@ class Trial:
 
 
 def read_trial(layout: Layout, experiment: str, variant: str) -> Trial | None:
-    """The test of this variant; None where none was begun.
-
-    Raises:
-        UserError: its file is damaged, cannot be read now, or is of another schema version.
-    """
+    """The test of this variant; None where none was begun."""
     path = layout.trial(experiment, variant)
     hint = "move it away to begin another test, whose error rate then no longer counts the looks of this one"
     return read_record(Trial, path, hint)
 
 
 def begin_trial(layout: Layout, experiment: str, variant: str, trial: Trial) -> None:
-    """Write down the rules of a test, or see that they are those of the test that was begun here.
-
-    Raises:
-        UserError: a test with other rules was begun here.
-        StorageError: the results folder takes no write.
-    """
+    """Write down the rules of a test, or see that they are those of the test that was begun here: else a UserError."""
     path = layout.trial(experiment, variant)
     with locked(layout.sweep_lock(experiment)):
         remove_leftovers(path.parent)
