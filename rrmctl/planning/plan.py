@@ -154,8 +154,9 @@ def _check(manifest: Manifest, rows: list[GridRow]) -> None:
     for axis, section in zip(AXES.values(), sections, strict=True):
         used = sorted({getattr(row, axis) for row in rows})
         for name in section:
-            problem = f"{manifest.path} [{axis}.{name}]: the grid has no {axis} of this name"
-            check_known(name, used, problem, "the grid has")
+            check_known(
+                name, used, f"{manifest.path} [{axis}.{name}]: the grid has no {axis} of this name", "the grid has"
+            )
     check_sections(manifest)
 
 

@@ -11,7 +11,7 @@ import json
 import signal
 import threading
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Protocol
 
@@ -87,36 +87,25 @@ class Supervisor:
 
     def run(self) -> Exit:
         """See every job to its end, or to a good place to stop; `INTERRUPTED` after a second signal."""
-        with self._heeding_signals():
-            try:
-                while not self.scheduler.finished:
-                    self._look_elsewhere()
-                    self._start_waiting()
-                    for event in self.executor.events(_TICK_S):
-                        self._heed(event)
-                    self._obey()
-                    self.watcher.tick()
-                    if self._signals > 1:
-                        return Exit.INTERRUPTED
-                return self.scheduler.exit_code()
-            finally:
-                self.executor.close()
-
-    @contextlib.contextmanager
-    def _heeding_signals(self) -> Iterator[None]:
-        """Count SIGINT and SIGTERM. Main thread only: Python allows handlers nowhere else."""
 
         def count(_number: int, _frame: object) -> None:
             self._signals += 1
 
-        main = threading.current_thread() is threading.main_thread()
-        numbers = (signal.SIGINT, signal.SIGTERM) if main else ()
-        before = {number: signal.signal(number, count) for number in numbers}
-        try:
-            yield
-        finally:
-            for number, handler in before.items():
-                signal.signal(number, handler)
+        with contextlib.ExitStack() as afterwards:
+            if threading.current_thread() is threading.main_thread():  # Python allows handlers nowhere else
+                for number in (signal.SIGINT, signal.SIGTERM):
+                    afterwards.callback(signal.signal, number, signal.signal(number, count))
+            afterwards.callback(self.executor.close)
+            while not self.scheduler.finished:
+                self._look_elsewhere()
+                self._start_waiting()
+                for event in self.executor.events(_TICK_S):
+                    self._heed(event)
+                self._obey()
+                self.watcher.tick()
+                if self._signals > 1:
+                    return Exit.INTERRUPTED
+            return self.scheduler.exit_code()
 
     def _start_waiting(self) -> None:
         if time.monotonic() < self._start_at:

@@ -28,9 +28,9 @@ from rrmctl.running.monitor import RunMonitor
 from rrmctl.running.parent_link import Leave, Pipe, StopRequest, say
 from rrmctl.store import files, provenance
 from rrmctl.store.curve import CurveWriter
+from rrmctl.store.files import PATIENCE_S
 from rrmctl.store.layout import Layout, RunFolder
 from rrmctl.store.lease import Lease, LeaseLostError
-from rrmctl.store.locks import PATIENCE_S
 from rrmctl.store.owner import Beat
 from rrmctl.store.provenance import read_config
 from rrmctl.store.schema import IDENTITY
@@ -69,7 +69,19 @@ class Trainable(Protocol):
 
 def main(argv: Sequence[str] | None = None, trainer: Trainable | None = None) -> WorkerExit:
     """Take up one run; `trainer` stands in for `rrm.training.jobs`."""
-    given = _arguments(argv)
+    parser = argparse.ArgumentParser(
+        prog="python -m rrmctl.running.worker", description="Trains one run of a results folder."
+    )
+    parser.add_argument("results", type=Path)
+    parser.add_argument("run")
+    parser.add_argument(
+        "--fresh", type=int, metavar="ATTEMPT", help="remove what the run holds first, unless there was a later attempt"
+    )
+    parser.add_argument("--pipe", type=int, help="descriptor that takes progress, one JSON object per line")
+    parser.add_argument("--parent", type=int, help="process whose death means: checkpoint and leave")
+    parser.add_argument("--take-over", default="", metavar="OWNER:COUNT", help="the last sign of life of who holds it")
+    parser.add_argument("--asked", type=json.loads, default=[], help="the command that asked for the run, as JSON")
+    given = parser.parse_args(argv)
     folder = Layout(given.results).run(given.run)
     pipe = Pipe(given.pipe)
     owner, _, count = given.take_over.partition(":")
@@ -94,22 +106,6 @@ def main(argv: Sequence[str] | None = None, trainer: Trainable | None = None) ->
             return _report(folder, error, pipe, lease)
         finally:
             lease.release()
-
-
-def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
-    parser = argparse.ArgumentParser(
-        prog="python -m rrmctl.running.worker", description="Trains one run of a results folder."
-    )
-    parser.add_argument("results", type=Path)
-    parser.add_argument("run")
-    parser.add_argument(
-        "--fresh", type=int, metavar="ATTEMPT", help="remove what the run holds first, unless there was a later attempt"
-    )
-    parser.add_argument("--pipe", type=int, help="descriptor that takes progress, one JSON object per line")
-    parser.add_argument("--parent", type=int, help="process whose death means: checkpoint and leave")
-    parser.add_argument("--take-over", default="", metavar="OWNER:COUNT", help="the last sign of life of who holds it")
-    parser.add_argument("--asked", type=json.loads, default=[], help="the command that asked for the run, as JSON")
-    return parser.parse_args(argv)
 
 
 def _attempt(

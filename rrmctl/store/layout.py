@@ -161,19 +161,16 @@ def check_profile(profile: str | None, present: Iterable[str]) -> None:
 
 def find_run(layout: Layout, prefix: str) -> RunFolder:
     """The folder of the one run whose id starts with `prefix`; UserError where none or several do, or it is empty."""
+    ids = f"ids are the names of the folders in {layout.root / 'runs'}"
     if not prefix:
-        raise UserError("no run was named", f"give its id or the first digits of it; {_ids(layout)}")
+        raise UserError("no run was named", f"give its id or the first digits of it; {ids}")
     matches = [run for run in layout.run_ids() if run.startswith(prefix)]
     if len(matches) == 1:
         return layout.run(matches[0])
     if not matches:
-        raise UserError(f"no run in {layout.root} starts with {prefix!r}", _ids(layout))
+        raise UserError(f"no run in {layout.root} starts with {prefix!r}", ids)
     shown = ", ".join(matches[:8]) + (", ..." if len(matches) > 8 else "")
     raise UserError(f"{prefix!r} stands for {len(matches)} runs: {shown}", "give more digits")
-
-
-def _ids(layout: Layout) -> str:
-    return f"ids are the names of the folders in {layout.root / 'runs'}"
 
 
 def _names(folder: Path, wanted: Callable[[Path], bool]) -> list[str]:

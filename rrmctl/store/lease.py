@@ -24,9 +24,8 @@ import threading
 from collections.abc import Callable, Iterator
 
 from rrm.files import replace
-from rrmctl.store.files import StorageError, storage_error
+from rrmctl.store.files import StorageError, is_open_at, open_lock, storage_error, try_lock, wait_for
 from rrmctl.store.layout import RunFolder
-from rrmctl.store.locks import is_open_at, open_lock, try_lock, wait_for
 from rrmctl.store.owner import Beat, lock_free, read_beat
 
 #: How often the owner raises its count, seconds.

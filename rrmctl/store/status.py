@@ -14,9 +14,8 @@ from pydantic import ConfigDict, StrictBool, StrictFloat, StrictInt, StrictStr
 
 from rrm.files import open_regular
 from rrmctl.commands import rrmctl
-from rrmctl.store.files import DamagedError, StorageError
+from rrmctl.store.files import PATIENCE_S, DamagedError, StorageError
 from rrmctl.store.layout import Layout, RunFolder
-from rrmctl.store.locks import PATIENCE_S
 from rrmctl.store.owner import is_owned, lock_free
 from rrmctl.store.records import read_record, write_json
 from rrmctl.store.schema import SCHEMA_VERSION
@@ -140,7 +139,7 @@ def statuses(layout: Layout, jobs: Iterable[Job]) -> dict[str, Status]:
     states = {run: run_status(layout.run(run)) for run in requires}
 
     def look(run: str, above: frozenset[str] = frozenset()) -> Status:
-        if states[run].state in _WAITING:
+        if states[run].state in (RunState.QUEUED, RunState.INTERRUPTED, RunState.WAITING):
             # Records that were put together by hand may need each other in a circle.
             for needed in (needed for needed in requires[run] if needed in states and needed not in above):
                 cause = look(needed, above | {run})
@@ -151,9 +150,6 @@ def statuses(layout: Layout, jobs: Iterable[Job]) -> dict[str, Status]:
         return states[run]
 
     return {run: look(run) for run in requires}
-
-
-_WAITING = (RunState.QUEUED, RunState.INTERRUPTED, RunState.WAITING)
 
 
 def blocked_by(run: str, error: RunError | None) -> RunError:

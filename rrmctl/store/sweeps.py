@@ -17,9 +17,16 @@ from pydantic import ConfigDict, StrictInt, StrictStr
 from rrm.files import sync_folder
 from rrmctl.errors import UserError
 from rrmctl.labels import Label
-from rrmctl.store.files import DamagedError, StorageError, remove_leftovers, set_aside, storage_error
+from rrmctl.store.files import (
+    PATIENCE_S,
+    DamagedError,
+    StorageError,
+    locked,
+    remove_leftovers,
+    set_aside,
+    storage_error,
+)
 from rrmctl.store.layout import Layout, RunFolder, never_run
-from rrmctl.store.locks import PATIENCE_S, locked
 from rrmctl.store.owner import lock_free
 from rrmctl.store.records import RunId, read_record, write_json
 from rrmctl.store.schema import SCHEMA_VERSION

@@ -8,9 +8,8 @@ from typing import NamedTuple
 from pydantic import StrictFloat, StrictInt, StrictStr
 
 from rrmctl.errors import UserError
-from rrmctl.store.files import remove_leftovers
+from rrmctl.store.files import locked, remove_leftovers
 from rrmctl.store.layout import Layout
-from rrmctl.store.locks import locked
 from rrmctl.store.records import read_record, write_json
 from rrmctl.store.schema import SCHEMA_VERSION
 

@@ -17,8 +17,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rrmctl.running.executor import Event, Note, WorkOrder
+from rrmctl.running.local import Child
 from rrmctl.running.parent_link import Pipe, StopRequest, _line
-from rrmctl.running.process import Child
 from rrmctl.store.layout import Layout
 from rrmctl.store.status import ErrorKind, RunError
 

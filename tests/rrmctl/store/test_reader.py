@@ -16,9 +16,8 @@ import pytest
 from rrmctl.errors import UserError
 from rrmctl.store import load, planned
 from rrmctl.store.curve import CurveWriter
-from rrmctl.store.files import DamagedError, VersionError
+from rrmctl.store.files import DamagedError, VersionError, try_lock
 from rrmctl.store.layout import Layout, find_run
-from rrmctl.store.locks import try_lock
 from rrmctl.store.provenance import collect, read_config, read_provenance, record_config
 from rrmctl.store.provenance import record as record_provenance
 from rrmctl.store.schema import LABELS, MEASURED
