@@ -154,9 +154,8 @@ def _check(manifest: Manifest, rows: list[GridRow]) -> None:
     for axis, section in zip(AXES.values(), sections, strict=True):
         used = sorted({getattr(row, axis) for row in rows})
         for name in section:
-            check_known(
-                name, used, f"{manifest.path} [{axis}.{name}]: the grid has no {axis} of this name", "the grid has"
-            )
+            problem = f"{manifest.path} [{axis}.{name}]: the grid has no {axis} of this name"
+            check_known(name, used, problem, "the grid has")
     check_sections(manifest)
 
 
