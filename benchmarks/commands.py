@@ -25,9 +25,8 @@ from rrmctl.planning.manifest import load
 from rrmctl.planning.plan import Plan, make_plan
 from rrmctl.running.config_file import config_content
 from rrmctl.store.curve import SETTINGS, table_of
-from rrmctl.store.files import write_table
+from rrmctl.store.files import try_lock, write_table
 from rrmctl.store.layout import Layout, RunFolder
-from rrmctl.store.locks import try_lock
 from rrmctl.store.provenance import record_config
 from rrmctl.store.schema import IDENTITY, MEASURED
 from rrmctl.store.status import RunState, Status, write_status

@@ -44,7 +44,7 @@ class Group:
     @cached_property
     def seconds_left(self) -> float | None:
         """Seconds of one core that the open runs still take; None where nothing like one of them has run yet."""
-        from rrmctl.store.speeds import speeds
+        from rrmctl.store.status import speeds
 
         rates = speeds(self.jobs, self.states) if self.rates is None else self.rates
         left = [(job, self.states[job.id]) for job in self.jobs if self.states[job.id].state not in OVER]
@@ -73,7 +73,7 @@ def group_by_sweep(sweeps: Iterable[SweepRecord], states: Mapping[str, Status]) 
 
 def group_by_row(sweeps: Iterable[SweepRecord], states: Mapping[str, Status]) -> list[Group]:
     """One group for each row of the grid of each variant: all seeds of it."""
-    from rrmctl.store.speeds import speeds
+    from rrmctl.store.status import speeds
 
     groups = []
     for sweep in sweeps:

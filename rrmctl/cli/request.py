@@ -80,8 +80,7 @@ class Forecast:
 def forecast(plan: Plan, layout: Layout) -> Forecast:
     """What the plan will cost, given what the store already has and how fast it came about."""
     from rrmctl.planning.cost import estimate_seconds
-    from rrmctl.store.speeds import stored_speeds
-    from rrmctl.store.status import statuses
+    from rrmctl.store.status import statuses, stored_speeds
 
     states = statuses(layout, plan.everything)
     speeds = stored_speeds(layout, states)

@@ -91,11 +91,9 @@ def told(mixed: Mixture) -> list[str]:
 def remarks(section: Section, makings: Mapping[str, Making]) -> Iterator[str]:
     """What may differ among the runs and is said all the same."""
     runs = {made.run: made for made in _runs(section)}
-    states = {makings[run].code for run in runs} - {None}
-    if len(states) > 1:
-        yield f"The runs were made by {len(states)} states of the code (digests of its sources)."
-    unknown = [made for run, made in runs.items() if makings[run].code is None]
-    if unknown:
+    if (states := len({makings[run].code for run in runs} - {None})) > 1:
+        yield f"The runs were made by {states} states of the code (digests of its sources)."
+    if unknown := [made for run, made in runs.items() if makings[run].code is None]:
         yield f"Nothing was recorded of how these were made, and nothing could be compared: {_which(unknown)}."
     precisions: dict[str, dict[str, None]] = defaultdict(dict)
     for run, made in runs.items():

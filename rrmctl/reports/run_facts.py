@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections import Counter
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any
 
 from rrmctl.labels import Label
@@ -54,8 +54,8 @@ def _spent(run: Run) -> tuple[float, ...]:
 
 def common_settings(runs: Iterable[Run]) -> pd.DataFrame:
     """The settings that all configured runs share: columns `setting, value`, values as JSON, none unset."""
-    values = _settings(runs)
-    rows = [(name, next(iter(options))) for name, options in _options(values).items() if len(options) == 1]
+    _, options = _settings(runs)
+    rows = [(name, *values) for name, values in options.items() if len(values) == 1]
     return frame(rows, dict.fromkeys(("setting", "value"), TEXT))
 
 
@@ -66,8 +66,8 @@ def differing_settings(runs: Iterable[Run]) -> pd.DataFrame:
     where nothing differs.
     """
     runs = list(runs)
-    values = _settings(runs)
-    columns = [name for name, options in _options(values).items() if len(options) > 1]
+    values, options = _settings(runs)
+    columns = [name for name, seen in options.items() if len(seen) > 1]
     rows: dict[Label, dict[str, dict[str, None]]] = {}
     for run in (run for run in runs if columns and run.id in values):
         row = rows.setdefault(run.row, {name: {} for name in columns})
@@ -77,19 +77,15 @@ def differing_settings(runs: Iterable[Run]) -> pd.DataFrame:
     return frame(table, dict.fromkeys((*GROUP, *columns), TEXT))
 
 
-def _settings(runs: Iterable[Run]) -> dict[str, dict[str, str]]:
-    """The settings of configured runs, by id and name."""
+def _settings(runs: Iterable[Run]) -> tuple[dict[str, dict[str, str]], dict[str, set[str | None]]]:
+    """The settings of configured runs, by id and name; and all values of each, None among them where a run has none."""
     flat = {run.id: settings(run.config) for run in runs if run.config is not None}
-    return {
+    values = {
         run: {name: json.dumps(value) for name, value in own.items() if name not in _IDENTITY and value is not None}
         for run, own in flat.items()
     }
-
-
-def _options(values: Mapping[str, Mapping[str, str]]) -> dict[str, set[str | None]]:
-    """The values of each setting; None among them where some run has none."""
     names = dict.fromkeys(name for own in values.values() for name in own)
-    return {name: {own.get(name) for own in values.values()} for name in names}
+    return values, {name: {own.get(name) for own in values.values()} for name in names}
 
 
 def makings(runs: Iterable[Run]) -> pd.DataFrame:

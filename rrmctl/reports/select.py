@@ -30,6 +30,7 @@ from rrmctl.store.trials import read_trial
 if TYPE_CHECKING:
     import pandas as pd
 
+_VARIANT = ("experiment", "variant")
 _UNDER_WAY = ("running", "interrupted", "queued")
 
 
@@ -38,10 +39,8 @@ def read_sections(
 ) -> tuple[Section, ...]:
     """The sections of one experiment, or of all in the store.
 
-    A section whose runs do not belong together says so (`Section.refusal`), and is refused where it is chosen.
-
-    Args:
-        allow_mixed: take runs together that were made by different versions or precisions, and say so in the section.
+    A section whose runs do not belong together says so (`Section.refusal`), and is refused where it is chosen; unless
+    runs of different versions or precisions may be mixed, which the section says then.
 
     Raises:
         UserError: no such results folder or experiment there, or a damaged file.
@@ -59,8 +58,9 @@ def sections_of(store: Snapshot, *, allow_mixed: bool = False) -> tuple[Section,
     runs = dict.fromkeys([*rows["run"], *filter(store.begun, jobs["run"])])
     makings = {run: comparability.making(store, run) for run in runs}
     superseded = {(sweep.experiment, sweep.variant): len(sweep.superseded) for sweep in store.sweeps}
+    evaluation = {cell: makings[run].config.get("evaluation") for cell, run in _distinct(rows, "cell", "run")}
     sections = []
-    for section in _split(rows, jobs, {}, makings):
+    for section in _split(rows, jobs, evaluation, makings):
         mixed = comparability.mixture(section, makings)
         differences = tuple(comparability.told(mixed))
         problems = [*section.problems]
@@ -115,67 +115,51 @@ def sections(
     Raises:
         UserError: one series holds runs of several configurations, or an unknown task.
     """
+    if jobs is None:
+        jobs = rows.drop_duplicates([*_VARIANT, *Label._fields, "run"]).assign(overrides="{}")
     return tuple(section.accepted() for section in _split(rows, jobs, evaluation or {}, {}))
 
 
 def _split(
-    rows: pd.DataFrame,
-    jobs: pd.DataFrame | None,
+    every_row: pd.DataFrame,
+    every_job: pd.DataFrame,
     evaluation: Mapping[str, Mapping[str, Any] | None],
     makings: Mapping[str, Making],
 ) -> Iterator[Section]:
     """The sections, with those among them whose runs do not belong together."""
-    if jobs is None:
-        jobs = rows.drop_duplicates(["experiment", "variant", *Label._fields, "run"]).assign(overrides="{}")
-    if makings:
-        evaluation = {cell: makings[run].config.get("evaluation") for cell, run in _distinct(rows, "cell", "run")}
-    for variant in _distinct(jobs, "experiment", "variant"):
-        place = dict(zip(("experiment", "variant"), variant, strict=True))
-        yield _section(_where(rows, place), _where(jobs, place), evaluation, makings)
+    for experiment, variant in _distinct(every_job, *_VARIANT):
+        rows, jobs = (_where(table, _VARIANT, (experiment, variant)) for table in (every_row, every_job))
+        problems: list[str] = []
+        refusals: list[UserError] = []
+        series: list[Series] = []
+        absent: list[Absent] = []
+        labels = [Label(*names) for names in _distinct(jobs, *Label._fields)]
+        tasks, methods = (list(dict.fromkeys(names)) for names in (jobs["task"], jobs["method"]))
+        for label in sorted(labels, key=lambda label: (tasks.index(label.task), methods.index(label.method))):
+            planned, own = (_where(table, Label._fields, label) for table in (jobs, rows))
+            series.append(_series(label, own, makings, problems, refusals, planned=len(planned)))
+            states = planned[["seed", "run", "state"]].itertuples(index=False, name=None)
+            absent += [Absent(label, *planned_run) for planned_run in states if planned_run[1] not in series[-1].runs]
+        used = rows[rows["run"].isin([run for one in series for run in one.runs])]
+        protocols = [
+            _protocol(episodes, evaluation.get(cell)) for cell, episodes in _distinct(used, "cell", "episodes")
+        ]
+        first = jobs.iloc[0]
+        yield Section(
+            experiment=experiment, profile=str(first["profile"]), variant=variant,
+            overrides=json.loads(first["overrides"]), series=tuple(series), absent=tuple(absent),
+            planned=int(jobs["run"].nunique()), evaluation=tuple(dict.fromkeys(protocols)), problems=tuple(problems),
+            refusal=next(iter(refusals), None),
+        )  # fmt: skip
 
 
-def _where(table: pd.DataFrame, values: Mapping[str, Any]) -> pd.DataFrame:
+def _where(table: pd.DataFrame, columns: Sequence[str], values: Sequence[str]) -> pd.DataFrame:
     """The rows that have these values."""
-    chosen = np.ones(len(table), dtype=bool)
-    for column, value in values.items():
-        chosen &= (table[column] == value).to_numpy()
-    return table[chosen]
+    return table[(table[list(columns)] == list(values)).all(axis=1)]
 
 
 def _distinct(table: pd.DataFrame, *columns: str) -> list[tuple[Any, ...]]:
     return list(dict.fromkeys(table[list(columns)].itertuples(index=False, name=None)))
-
-
-def _section(
-    rows: pd.DataFrame,
-    jobs: pd.DataFrame,
-    evaluation: Mapping[str, Mapping[str, Any] | None],
-    makings: Mapping[str, Making],
-) -> Section:
-    problems: list[str] = []
-    refusals: list[UserError] = []
-    series: list[Series] = []
-    absent: list[Absent] = []
-    labels = [Label(*names) for names in _distinct(jobs, *Label._fields)]
-    tasks, methods = (list(dict.fromkeys(names)) for names in (jobs["task"], jobs["method"]))
-    for label in sorted(labels, key=lambda label: (tasks.index(label.task), methods.index(label.method))):
-        planned = _where(jobs, label._asdict())
-        own = _where(rows, label._asdict())
-        series.append(_series(label, own, makings, problems, refusals, planned=len(planned)))
-        absent += [
-            Absent(label, int(seed), run, state)
-            for seed, run, state in zip(planned["seed"], planned["run"], planned["state"], strict=True)
-            if run not in series[-1].runs
-        ]
-    used = rows[rows["run"].isin([run for one in series for run in one.runs])]
-    protocols = [_protocol(episodes, evaluation.get(cell)) for cell, episodes in _distinct(used, "cell", "episodes")]
-    first = jobs.iloc[0]
-    return Section(
-        experiment=str(first["experiment"]), profile=str(first["profile"]), variant=str(first["variant"]),
-        overrides=json.loads(first["overrides"]), series=tuple(series), absent=tuple(absent),
-        planned=int(jobs["run"].nunique()), evaluation=tuple(dict.fromkeys(protocols)), problems=tuple(problems),
-        refusal=next(iter(refusals), None),
-    )  # fmt: skip
 
 
 def _protocol(episodes: int, settings: Mapping[str, Any] | None) -> str:
@@ -206,8 +190,7 @@ def _series(
     used = done if len(done) else rows[rows["state"].isin(_UNDER_WAY)]
     # Versions differ in their configurations; whether those meet is looked at when all series are known.
     version = used["run"].map(lambda run: makings[run].facts[comparability.VERSION] if run in makings else "")
-    several = [why for _, alike in used.groupby(version) if (why := comparability.configurations(label, alike))]
-    if several:
+    if several := [why for _, alike in used.groupby(version) if (why := comparability.configurations(label, alike))]:
         refusals += several
         used = used[:0]
     who = _distinct(used.sort_values("seed"), "seed", "run")

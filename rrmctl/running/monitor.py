@@ -7,6 +7,7 @@ import math
 import time
 from collections.abc import Sequence
 from contextlib import AbstractContextManager
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 from rrmctl.running.parent_link import Pipe, StopRequest, say
@@ -21,16 +22,16 @@ if TYPE_CHECKING:
 HEARTBEAT_S = 5.0
 
 
+@dataclass(eq=False)
 class RunMonitor:
     """An `rrm.training.jobs.Monitor`."""
 
-    def __init__(self, lease: Lease, status: Status, curve: CurveWriter, pipe: Pipe, stop: StopRequest) -> None:
-        self._lease = lease
-        self.status = status  #: as last known, not always as last written
-        self._curve = curve
-        self._pipe = pipe
-        self._stop = stop
-        self._written = time.monotonic()
+    _lease: Lease
+    status: Status  #: as last known, not always as last written
+    _curve: CurveWriter
+    _pipe: Pipe
+    _stop: StopRequest
+    _written: float = field(default_factory=time.monotonic, init=False)
 
     def restored(self, rows: Sequence[EvalRow]) -> None:
         lost = [row for row in rows if row.step not in self._curve]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import dataclasses
 import json
 import math
 import os
@@ -14,8 +13,6 @@ import time
 from collections.abc import Iterator
 from types import FrameType
 from typing import Any, Self
-
-from rrmctl.store.status import RunError
 
 #: Least time between two beats, seconds.
 _BEAT_S = 0.25
@@ -53,23 +50,15 @@ class Pipe:
             os.set_inheritable(descriptor, False)
 
     def beat(self, event: str = "beat", **progress: Any) -> None:
-        """A sign of life, a few times a second at the most."""
+        """A sign of life, a few times a second at the most: of progress, or of waiting for another process."""
         if time.monotonic() - self._last_beat >= _BEAT_S:
             self._last_beat = time.monotonic()
             self.send(event=event, **progress)
-
-    def wait(self) -> None:
-        """A sign of life of a worker that waits for another process."""
-        self.beat("wait")
 
     def note(self, text: str) -> None:
         """Something a person should read; it is printed into the log as well."""
         say(f"--- {text}")
         self.send(event="note", text=text)
-
-    def error(self, error: RunError) -> None:
-        """Why the worker leaves."""
-        self.send(event="error", **dataclasses.asdict(error))
 
     def send(self, **message: Any) -> None:
         """Any message. It is dropped when the pipe is full: its reader sleeps, and the files tell the same."""

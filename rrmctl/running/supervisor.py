@@ -11,7 +11,7 @@ import json
 import signal
 import threading
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Protocol
 
@@ -87,36 +87,25 @@ class Supervisor:
 
     def run(self) -> Exit:
         """See every job to its end, or to a good place to stop; `INTERRUPTED` after a second signal."""
-        with self._heeding_signals():
-            try:
-                while not self.scheduler.finished:
-                    self._look_elsewhere()
-                    self._start_waiting()
-                    for event in self.executor.events(_TICK_S):
-                        self._heed(event)
-                    self._obey()
-                    self.watcher.tick()
-                    if self._signals > 1:
-                        return Exit.INTERRUPTED
-                return self.scheduler.exit_code()
-            finally:
-                self.executor.close()
-
-    @contextlib.contextmanager
-    def _heeding_signals(self) -> Iterator[None]:
-        """Count SIGINT and SIGTERM. Main thread only: Python allows handlers nowhere else."""
 
         def count(_number: int, _frame: object) -> None:
             self._signals += 1
 
-        main = threading.current_thread() is threading.main_thread()
-        numbers = (signal.SIGINT, signal.SIGTERM) if main else ()
-        before = {number: signal.signal(number, count) for number in numbers}
-        try:
-            yield
-        finally:
-            for number, handler in before.items():
-                signal.signal(number, handler)
+        with contextlib.ExitStack() as afterwards:
+            if threading.current_thread() is threading.main_thread():  # Python allows handlers nowhere else
+                for number in (signal.SIGINT, signal.SIGTERM):
+                    afterwards.callback(signal.signal, number, signal.signal(number, count))
+            afterwards.callback(self.executor.close)
+            while not self.scheduler.finished:
+                self._look_elsewhere()
+                self._start_waiting()
+                for event in self.executor.events(_TICK_S):
+                    self._heed(event)
+                self._obey()
+                self.watcher.tick()
+                if self._signals > 1:
+                    return Exit.INTERRUPTED
+            return self.scheduler.exit_code()
 
     def _start_waiting(self) -> None:
         if time.monotonic() < self._start_at:
@@ -130,13 +119,19 @@ class Supervisor:
                 self._conclude(job, settled)
                 continue
             self.scheduler.start(job)
+            terms, options = self._terms[job], ["--asked", json.dumps(list(self.asked))]
+            if terms.fresh:
+                options += ["--fresh", str(terms.attempt)]
+            if (beat := self._silent.pop(job, None)) is not None:
+                options += ["--take-over", f"{beat.owner}:{beat.count}"]
             try:
-                self._launch(job)
+                self.executor.submit(WorkOrder(run=job, threads=terms.threads, options=tuple(options)))
             except StorageError as error:
                 self._conclude(job, _failure(ErrorKind.STORAGE, "StorageError", str(error)))
             except OSError as error:
                 self._wait_for_the_system(job, error)
                 return
+            self._launched.add(job)
             self._refusals = 0
 
     def _wait_for_the_system(self, job: str, error: OSError) -> None:
@@ -150,15 +145,6 @@ class Supervisor:
         pause = 2.0 ** min(self._refusals - 1, 6)
         self.watcher.note(job, f"no process can be started: {error.strerror}; trying again in {pause:.0f} s")
         self._start_at = time.monotonic() + pause
-
-    def _launch(self, job: str) -> None:
-        terms, options = self._terms[job], ["--asked", json.dumps(list(self.asked))]
-        if terms.fresh:
-            options += ["--fresh", str(terms.attempt)]
-        if (beat := self._silent.pop(job, None)) is not None:
-            options += ["--take-over", f"{beat.owner}:{beat.count}"]
-        self.executor.submit(WorkOrder(run=job, threads=terms.threads, options=tuple(options)))
-        self._launched.add(job)
 
     def _look_elsewhere(self) -> None:
         """Take over runs that other processes gave up, and take note of those they finished."""

@@ -28,9 +28,9 @@ from rrmctl.running.monitor import RunMonitor
 from rrmctl.running.parent_link import Leave, Pipe, StopRequest, say
 from rrmctl.store import files, provenance
 from rrmctl.store.curve import CurveWriter
+from rrmctl.store.files import PATIENCE_S
 from rrmctl.store.layout import Layout, RunFolder
 from rrmctl.store.lease import Lease, LeaseLostError
-from rrmctl.store.locks import PATIENCE_S
 from rrmctl.store.owner import Beat
 from rrmctl.store.provenance import read_config
 from rrmctl.store.schema import IDENTITY
@@ -69,34 +69,6 @@ class Trainable(Protocol):
 
 def main(argv: Sequence[str] | None = None, trainer: Trainable | None = None) -> WorkerExit:
     """Take up one run; `trainer` stands in for `rrm.training.jobs`."""
-    given = _arguments(argv)
-    folder = Layout(given.results).run(given.run)
-    pipe = Pipe(given.pipe)
-    with StopRequest(given.parent, pipe) as stop:
-        try:
-            read_config(folder)
-            with stop.at_once():
-                lease = Lease.take(folder, patience_s=PATIENCE_S, stale=given.take_over, waiting=pipe.wait)
-        except Leave:
-            return WorkerExit.STOPPED
-        except UserError as error:
-            return _report(folder, error, pipe)[0]
-        if lease is None:
-            return WorkerExit.LOCKED
-        try:
-            return _attempt(lease, given, pipe, stop, trainer)
-        except LeaseLostError as error:
-            say(f"--- {error}; what was done here since the last write is discarded")
-            return WorkerExit.LOCKED
-        except Exception as error:
-            code, reason = _report(folder, error, pipe)
-            _record_failure(lease, reason)
-            return code
-        finally:
-            lease.release()
-
-
-def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
     parser = argparse.ArgumentParser(
         prog="python -m rrmctl.running.worker", description="Trains one run of a results folder."
     )
@@ -107,14 +79,33 @@ def _arguments(argv: Sequence[str] | None) -> argparse.Namespace:
     )
     parser.add_argument("--pipe", type=int, help="descriptor that takes progress, one JSON object per line")
     parser.add_argument("--parent", type=int, help="process whose death means: checkpoint and leave")
-    parser.add_argument("--take-over", type=_beat, metavar="OWNER:COUNT", help="the last sign of life of who holds it")
+    parser.add_argument("--take-over", default="", metavar="OWNER:COUNT", help="the last sign of life of who holds it")
     parser.add_argument("--asked", type=json.loads, default=[], help="the command that asked for the run, as JSON")
-    return parser.parse_args(argv)
-
-
-def _beat(text: str) -> Beat:
-    owner, _, count = text.partition(":")
-    return Beat(owner, int(count))
+    given = parser.parse_args(argv)
+    folder = Layout(given.results).run(given.run)
+    pipe = Pipe(given.pipe)
+    owner, _, count = given.take_over.partition(":")
+    stale = Beat(owner, int(count)) if owner else None
+    with StopRequest(given.parent, pipe) as stop:
+        try:
+            read_config(folder)
+            with stop.at_once():
+                lease = Lease.take(folder, patience_s=PATIENCE_S, stale=stale, waiting=lambda: pipe.beat("wait"))
+        except Leave:
+            return WorkerExit.STOPPED
+        except UserError as error:
+            return _report(folder, error, pipe)
+        if lease is None:
+            return WorkerExit.LOCKED
+        try:
+            return _attempt(lease, given, pipe, stop, trainer)
+        except LeaseLostError as error:
+            say(f"--- {error}; what was done here since the last write is discarded")
+            return WorkerExit.LOCKED
+        except Exception as error:
+            return _report(folder, error, pipe, lease)
+        finally:
+            lease.release()
 
 
 def _attempt(
@@ -143,7 +134,13 @@ def _attempt(
                 if finished and folder.checkpoint.exists():
                     shutil.rmtree(folder.checkpoint)
             if not finished:
-                trainer = trainer or _library(config.threads)
+                if trainer is None:
+                    import torch
+
+                    torch.set_num_threads(config.threads)  # before it computes anything
+                    from rrm.training import jobs
+
+                    trainer = jobs
                 facts = provenance.collect(stored, trainer.fingerprint(config), given.asked, status.attempt)
                 with lease.writing():
                     changes = _healed(folder.provenance, pipe, lambda: provenance.record(folder, facts))
@@ -202,37 +199,25 @@ def _take_up(folder: RunFolder, before: Status, *, fresh: bool) -> Status:
     return status
 
 
-def _library(threads: int) -> Trainable:
-    """The real trainer; torch's threads are set before it computes anything."""
-    import torch
-
-    torch.set_num_threads(threads)
-    from rrm.training import jobs
-
-    return jobs
-
-
-def _report(folder: RunFolder, error: Exception, pipe: Pipe) -> tuple[WorkerExit, RunError]:
-    """Tell the log and the parent why the worker leaves."""
+def _report(folder: RunFolder, error: Exception, pipe: Pipe, lease: Lease | None = None) -> WorkerExit:
+    """Tell the log, the parent and, where the run is owned, its status why the worker leaves."""
     if isinstance(error, OSError) and error.errno in files.STORAGE_ERRNOS:
         error = files.storage_error(Path(error.filename or folder.path), error, "read or write")
     code, kind, message = _reason(folder, error)
     reason = RunError(kind=kind, type=type(error).__name__, message=message)
     _log("".join(traceback.format_exception(error)) if code is WorkerExit.CRASHED else f"--- {reason}\n")
-    pipe.error(reason)
-    return code, reason
-
-
-def _record_failure(lease: Lease, reason: RunError) -> None:
-    # What may not happen again is not the run's end: whether it is tried again, its parent or the next one decides.
-    ends = {ErrorKind.REFUSED: RunState.FAILED, ErrorKind.WAITING: RunState.WAITING}
-    state = ends.get(reason.kind, RunState.INTERRUPTED)
-    try:
-        with lease.writing():
-            status = read_status(lease.folder)
-            write_status(lease.folder, dataclasses.replace(status, state=state, error=reason, heartbeat=time.time()))
-    except (UserError, LeaseLostError) as problem:
-        _log(f"--- the status could not be recorded: {problem}\n")
+    pipe.send(event="error", **dataclasses.asdict(reason))
+    if lease is not None:
+        # What may not happen again is not the run's end: whether it is tried again, its parent or the next one decides.
+        ends = {ErrorKind.REFUSED: RunState.FAILED, ErrorKind.WAITING: RunState.WAITING}
+        state = ends.get(kind, RunState.INTERRUPTED)
+        try:
+            with lease.writing():
+                status = dataclasses.replace(read_status(folder), state=state, error=reason, heartbeat=time.time())
+                write_status(folder, status)
+        except (UserError, LeaseLostError) as problem:
+            _log(f"--- the status could not be recorded: {problem}\n")
+    return code
 
 
 def _reason(folder: RunFolder, error: Exception) -> tuple[WorkerExit, ErrorKind, str]:

@@ -145,11 +145,7 @@ def never_run(layout: Layout, *experiments: str) -> UserError:
 
 
 def chosen_experiments(layout: Layout, asked: Sequence[str]) -> list[str]:
-    """The experiments that are asked for, each once; all of the store where none is.
-
-    Raises:
-        UserError: the store holds no run of one, or none at all.
-    """
+    """The experiments that are asked for, each once; all of the store where none is. UserError where one never ran."""
     present = layout.experiments()
     unknown = [name for name in asked if name not in present]
     if unknown or not present:
@@ -158,34 +154,23 @@ def chosen_experiments(layout: Layout, asked: Sequence[str]) -> list[str]:
 
 
 def check_profile(profile: str | None, present: Iterable[str]) -> None:
-    """Refuse a profile of which there are no runs; None asks for none.
-
-    Raises:
-        UserError: with the nearest that there is.
-    """
+    """Refuse a profile of which there are no runs, with the nearest that there is; None asks for none."""
     if profile is not None:
         check_known(profile, sorted(set(present)), f'no runs of profile "{profile}"', "there are runs of")
 
 
 def find_run(layout: Layout, prefix: str) -> RunFolder:
-    """The folder of the one run whose id starts with `prefix`.
-
-    Raises:
-        UserError: none does, or several do, or `prefix` is empty.
-    """
+    """The folder of the one run whose id starts with `prefix`; UserError where none or several do, or it is empty."""
+    ids = f"ids are the names of the folders in {layout.root / 'runs'}"
     if not prefix:
-        raise UserError("no run was named", f"give its id or the first digits of it; {_ids(layout)}")
+        raise UserError("no run was named", f"give its id or the first digits of it; {ids}")
     matches = [run for run in layout.run_ids() if run.startswith(prefix)]
     if len(matches) == 1:
         return layout.run(matches[0])
     if not matches:
-        raise UserError(f"no run in {layout.root} starts with {prefix!r}", _ids(layout))
+        raise UserError(f"no run in {layout.root} starts with {prefix!r}", ids)
     shown = ", ".join(matches[:8]) + (", ..." if len(matches) > 8 else "")
     raise UserError(f"{prefix!r} stands for {len(matches)} runs: {shown}", "give more digits")
-
-
-def _ids(layout: Layout) -> str:
-    return f"ids are the names of the folders in {layout.root / 'runs'}"
 
 
 def _names(folder: Path, wanted: Callable[[Path], bool]) -> list[str]:

@@ -22,12 +22,10 @@ import os
 import secrets
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager
 
 from rrm.files import replace
-from rrmctl.store.files import StorageError, storage_error
+from rrmctl.store.files import StorageError, is_open_at, open_lock, storage_error, try_lock, wait_for
 from rrmctl.store.layout import RunFolder
-from rrmctl.store.locks import is_open_at, open_lock, try_lock, wait_for
 from rrmctl.store.owner import Beat, lock_free, read_beat
 
 #: How often the owner raises its count, seconds.
@@ -98,19 +96,27 @@ class Lease:
         finally:
             os.close(guard)
 
-    def writing(self) -> AbstractContextManager[None]:
-        """Around every write into the run's folder, and not inside another one. Waits for the guard.
+    @contextlib.contextmanager
+    def writing(self, *, brief: bool = False) -> Iterator[None]:
+        """Around every write into the run's folder, and not inside another one. Waits for the guard; in `brief` no
+        longer than from one sign of life to the next.
 
-        Raises:
-            LeaseLostError: the run belongs to another process; nothing may be written.
-            StorageError: the folder takes no write.
+        Raises LeaseLostError where the run belongs to another process: nothing may be written.
         """
-        return self._owning(self._waiting)
+        with _guarded(self.folder, *((lambda: None, BEAT_S) if brief else (self._waiting, math.inf))):
+            self._see_ownership()
+            os.umask(self._umask)  # code of the user's may have set another
+            self._inside = True
+            try:
+                yield
+            finally:
+                with self._ending:
+                    self._inside = False
 
     def release(self) -> None:
         """Leave the run to others."""
         self._released.set()
-        with contextlib.suppress(*_NO_MATTER), self._owning(patience_s=BEAT_S):
+        with contextlib.suppress(*_NO_MATTER), self.writing(brief=True):
             self.folder.lease.unlink(missing_ok=True)
         os.close(self._lock)
 
@@ -122,20 +128,8 @@ class Lease:
                         self._see_ownership()
                         self._write()
                 if not inside:
-                    with self._owning(patience_s=BEAT_S):
+                    with self.writing(brief=True):
                         self._write()
-
-    @contextlib.contextmanager
-    def _owning(self, waiting: Callable[[], None] = lambda: None, patience_s: float = math.inf) -> Iterator[None]:
-        with _guarded(self.folder, waiting, patience_s):
-            self._see_ownership()
-            os.umask(self._umask)  # code of the user's may have set another
-            self._inside = True
-            try:
-                yield
-            finally:
-                with self._ending:
-                    self._inside = False
 
     def _see_ownership(self) -> None:
         beat = read_beat(self.folder)

@@ -8,17 +8,16 @@ watched to stand still. What is watched is a count; times of two machines are ne
 from __future__ import annotations
 
 import contextlib
-import dataclasses
 import os
 import socket
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from rrmctl.errors import UserError
+from rrmctl.store.files import is_locked, try_lock
 from rrmctl.store.layout import RunFolder
-from rrmctl.store.locks import is_locked, try_lock
 from rrmctl.store.records import read_json
 from rrmctl.suspend_clock import WakingTime
 
@@ -26,8 +25,7 @@ from rrmctl.suspend_clock import WakingTime
 LEASE_S = 30.0
 
 
-@dataclass(frozen=True)
-class Machine:
+class Machine(NamedTuple):
     """Where a process lives: what shares a kernel shares its locks."""
 
     host: str
@@ -38,15 +36,10 @@ class Machine:
         return self.host == other.host or self.boot == other.boot != ""
 
 
-def _here() -> Machine:
-    try:
-        boot = Path("/proc/sys/kernel/random/boot_id").read_text().strip()
-    except OSError:
-        boot = ""  # the name alone has to do
-    return Machine(socket.gethostname(), boot)
-
-
-HERE = _here()
+_boot = ""  # the name alone has to do
+with contextlib.suppress(OSError):
+    _boot = Path("/proc/sys/kernel/random/boot_id").read_text().strip()
+HERE = Machine(socket.gethostname(), _boot)
 
 
 @dataclass(frozen=True)
@@ -59,7 +52,7 @@ class Beat:
 
     def to_json(self) -> dict[str, Any]:
         """A JSON object."""
-        return {"owner": self.owner, "count": self.count, **dataclasses.asdict(self.machine)}
+        return {"owner": self.owner, "count": self.count, **self.machine._asdict()}
 
 
 def read_beat(folder: RunFolder) -> Beat | None:
@@ -76,12 +69,8 @@ def read_beat(folder: RunFolder) -> Beat | None:
 
 
 def owned(beat: Beat | None, *, locked: bool, here: Machine, silent: Beat | None = None) -> bool:
-    """Whether a run is somebody's.
-
-    Args:
-        beat: the last sign of life; None where there is none.
-        locked: whether the run's lock is held, as far as can be seen `here`.
-        silent: the sign of life that nothing has followed for as long as a lease lasts.
+    """Whether a run is somebody's: whose last sign of life is `beat`, whose lock is held as far as can be seen `here`,
+    and not if it is `silent`: nothing has followed that for as long as a lease lasts.
     """
     if beat is None:
         return locked

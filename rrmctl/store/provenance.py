@@ -29,14 +29,11 @@ PACKAGES = (
     "rrmctl", "torch", "numpy", "gymnasium", "metaworld", "mujoco", "dm-control", "pyarrow", "pydantic", "safetensors"
 )  # fmt: skip
 
-
 #: Facts that cannot change a run's numbers, and are not compared on resumption.
 _CIRCUMSTANCES = ("started", "host", "argv", "attempt")
 
-
 #: What to do about a configuration that is not what it should be.
 CONFIG_HINT = "run its experiment again: `rrmctl run NAME` writes it anew"
-
 
 #: What the program itself reads of a configuration; the rest is checked when the run starts.
 _Config = dataclasses.make_dataclass("_Config", [
@@ -55,11 +52,7 @@ def read_config(folder: RunFolder) -> dict[str, Any]:
 
 
 def record_config(folder: RunFolder, content: dict[str, Any]) -> str | None:
-    """Write the run's `config.json` unless it says the same already. A damaged one is set aside first.
-
-    Returns:
-        What a person should know of a file that was set aside.
-    """
+    """Write the run's `config.json` unless it says the same already; the note is of a damaged one set aside."""
     note = None
     try:
         stored = read_json(folder.config)
@@ -75,13 +68,11 @@ def record_config(folder: RunFolder, content: dict[str, Any]) -> str | None:
 def collect(
     config: Mapping[str, Any], fingerprint: Mapping[str, str], argv: Sequence[str], attempt: int
 ) -> dict[str, Any]:
-    """Facts about an attempt that starts now, in this process.
+    """Facts about an attempt of this number that starts now, in this process.
 
     Args:
-        config: the run's.
         fingerprint: of the environment: its packages, and a hash of its true reward on fixed states.
         argv: the command that asked for the run.
-        attempt: its number.
     """
     return {
         "python": platform.python_version(),

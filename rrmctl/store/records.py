@@ -46,22 +46,13 @@ _KINDS = {
 
 
 def write_json(path: Path, value: Mapping[str, Any]) -> None:
-    """`write_bytes` of `value` as indented JSON, its last line a checksum over those before.
-
-    Raises:
-        StorageError: the results folder takes no write.
-        ValueError: it holds NaN, which JSON does not have.
-    """
+    """`write_bytes` of `value` as indented JSON, its last line a checksum over those before. NaN is a ValueError."""
     body = json.dumps(value, indent=1, allow_nan=False).removesuffix("\n}").encode()
     write_bytes(path, body + (_CHECKSUM % zlib.crc32(body) if value else b"\n"))
 
 
 def read_json(path: Path, hint: str = _AGAIN) -> dict[str, Any] | None:
-    """The object in `path`; None where there is no such file.
-
-    Args:
-        hint: what to do about a file that is damaged.
-    """
+    """The object in `path`; None where there is no such file. `hint`: what to do about one that is damaged."""
     data = read_bytes(path, _LARGEST)
     if data is None:
         return None
@@ -99,12 +90,7 @@ def _refuse_odd(value: Any) -> None:
 
 
 def check_version(version: Any, path: Path, hint: str) -> None:
-    """Refuse another schema version than this program's.
-
-    Raises:
-        VersionError: it is another one.
-        DamagedError: it is none.
-    """
+    """Refuse another schema version than this program's (VersionError), and what is none (DamagedError)."""
     if type(version) is not int:
         raise DamagedError(f"{path} is damaged: its schema_version is {version!r:.80}, not a whole number", hint)
     if version != SCHEMA_VERSION:
@@ -139,9 +125,7 @@ def validated(kind: type[Record], content: Mapping[str, Any], path: Path, hint: 
     return record
 
 
-@cache
-def _adapter(kind: type[Record]) -> TypeAdapter[Record]:
-    return TypeAdapter(kind)
+_adapter = cache(TypeAdapter[Any])
 
 
 def _told(problems: list[ErrorDetails]) -> str:

@@ -18,7 +18,7 @@ from rrmctl.store.layout import open_results
 from rrmctl.store.provenance import read_config, read_provenance
 from rrmctl.store.schema import IDENTITY, LABELS, curve_schema
 from rrmctl.store.status import Status, run_status, statuses
-from rrmctl.store.sweeps import find_sweeps, read_sweeps, readable_sweeps
+from rrmctl.store.sweeps import read_sweeps, readable_sweeps
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -95,9 +95,6 @@ class Snapshot:
         results: the results root.
         experiment: only this one.
         lenient: go on without records that are damaged, and say so in `damage`; of one experiment none may be.
-
-    Raises:
-        UserError: the experiment has never been run here, or a sweep record is damaged.
     """
 
     def __init__(
@@ -105,12 +102,10 @@ class Snapshot:
     ) -> None:
         self.layout = open_results(results)
         self.damage: list[UserError] = []
-        if experiment is not None:
-            self.sweeps = find_sweeps(self.layout, experiment)
-        elif lenient:
+        if lenient and experiment is None:
             self.sweeps, self.damage = readable_sweeps(self.layout)
         else:
-            self.sweeps = read_sweeps(self.layout)
+            self.sweeps = read_sweeps(self.layout, experiment)
         self.states = statuses(self.layout, (job for sweep in self.sweeps for job in sweep.everything))
         self.config = cache(lambda run: read_config(self.layout.run(run)))
         self.provenance = cache(lambda run: read_provenance(self.layout.run(run)))
@@ -153,15 +148,15 @@ class Snapshot:
 
     def runs(self, *, needed: bool = False) -> tuple[Run, ...]:
         """The planned runs in the order of the plan, or instead those that they need: experts, demonstrations."""
-        return tuple(self._run(dict(plan)) for plan in self.planned(needed=needed).to_dict("records"))
-
-    def _run(self, plan: dict[Any, Any]) -> Run:
-        run, curve = plan["run"], self.curve(plan["run"])
-        measured = (curve_schema().empty_table() if curve is None else curve).drop_columns(list(IDENTITY))
-        return Run(
-            plan=plan, config=self.config(run) if self.begun(run) else None, provenance=self.provenance(run),
-            curve=measured.to_pandas(use_threads=False),
-        )  # fmt: skip
+        runs = []
+        for plan in self.planned(needed=needed).to_dict("records"):
+            labels = {str(name): value for name, value in plan.items()}
+            run, curve = plan["run"], self.curve(plan["run"])
+            config = self.config(run) if self.begun(run) else None
+            table = (curve_schema().empty_table() if curve is None else curve).drop_columns(list(IDENTITY))
+            measured = table.to_pandas(use_threads=False)
+            runs.append(Run(plan=labels, config=config, provenance=self.provenance(run), curve=measured))
+        return tuple(runs)
 
 
 def _progress(status: Status, steps: int) -> tuple[Any, ...]:

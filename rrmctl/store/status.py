@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import dataclasses
 import os
-from collections.abc import Iterable
+import statistics
+from collections import defaultdict
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from enum import StrEnum
 
@@ -12,13 +14,12 @@ from pydantic import ConfigDict, StrictBool, StrictFloat, StrictInt, StrictStr
 
 from rrm.files import open_regular
 from rrmctl.commands import rrmctl
-from rrmctl.store.files import DamagedError, StorageError
+from rrmctl.store.files import PATIENCE_S, DamagedError, StorageError
 from rrmctl.store.layout import Layout, RunFolder
-from rrmctl.store.locks import PATIENCE_S
 from rrmctl.store.owner import is_owned, lock_free
 from rrmctl.store.records import read_record, write_json
 from rrmctl.store.schema import SCHEMA_VERSION
-from rrmctl.store.sweeps import Job
+from rrmctl.store.sweeps import Job, readable_sweeps
 
 
 class RunState(StrEnum):
@@ -118,9 +119,6 @@ def run_status(folder: RunFolder) -> Status:
     """Where the run stands now: one that says it is running while nobody owns it is interrupted.
 
     A status file that is damaged, or cannot be read now, gives the state `unreadable` with the reason.
-
-    Raises:
-        VersionError: it is of another schema version.
     """
     try:
         status = read_status(folder)
@@ -141,7 +139,7 @@ def statuses(layout: Layout, jobs: Iterable[Job]) -> dict[str, Status]:
     states = {run: run_status(layout.run(run)) for run in requires}
 
     def look(run: str, above: frozenset[str] = frozenset()) -> Status:
-        if states[run].state in _WAITING:
+        if states[run].state in (RunState.QUEUED, RunState.INTERRUPTED, RunState.WAITING):
             # Records that were put together by hand may need each other in a circle.
             for needed in (needed for needed in requires[run] if needed in states and needed not in above):
                 cause = look(needed, above | {run})
@@ -154,15 +152,34 @@ def statuses(layout: Layout, jobs: Iterable[Job]) -> dict[str, Status]:
     return {run: look(run) for run in requires}
 
 
-_WAITING = (RunState.QUEUED, RunState.INTERRUPTED, RunState.WAITING)
-
-
 def blocked_by(run: str, error: RunError | None) -> RunError:
     """What keeps a run from starting: the failure of another, which it needs."""
     if error is not None and error.kind is ErrorKind.BLOCKED:
         return error  # the first cause says it all
     reason = f"run {run}, which it needs, failed: {error or 'no reason was recorded'}"
     return RunError(kind=ErrorKind.BLOCKED, type="Blocked", message=reason)
+
+
+def speeds(jobs: Iterable[Job], states: Mapping[str, Status]) -> dict[tuple[str, str], float]:
+    """The median speed of what has run so far, by task and method: environment steps per second, evaluation counted in
+    where a run is done.
+    """
+    seen: defaultdict[tuple[str, str], list[float]] = defaultdict(list)
+    for job in jobs:
+        status = states[job.id]
+        took = status.wall_s if status.state is RunState.DONE else None
+        if speed := status.step / took if took else status.steps_per_s:
+            seen[job.task, job.method].append(speed)
+    return {key: statistics.median(values) for key, values in seen.items()}
+
+
+def stored_speeds(layout: Layout, known: Mapping[str, Status] | None = None) -> dict[tuple[str, str, str], float]:
+    """The same of the store's runs, by task, method and variant; of those in `known` it is read already."""
+    states, jobs = dict(known or {}), defaultdict[str, list[Job]](list)
+    for sweep in readable_sweeps(layout)[0]:
+        states |= statuses(layout, (job for job in sweep.everything if job.id not in states))
+        jobs[sweep.variant] += sweep.everything
+    return {(*key, variant): speed for variant, own in jobs.items() for key, speed in speeds(own, states).items()}
 
 
 def log_tail(folder: RunFolder, lines: int = 15) -> list[str]:

@@ -17,9 +17,16 @@ from pydantic import ConfigDict, StrictInt, StrictStr
 from rrm.files import sync_folder
 from rrmctl.errors import UserError
 from rrmctl.labels import Label
-from rrmctl.store.files import DamagedError, StorageError, remove_leftovers, set_aside, storage_error
+from rrmctl.store.files import (
+    PATIENCE_S,
+    DamagedError,
+    StorageError,
+    locked,
+    remove_leftovers,
+    set_aside,
+    storage_error,
+)
 from rrmctl.store.layout import Layout, RunFolder, never_run
-from rrmctl.store.locks import PATIENCE_S, locked
 from rrmctl.store.owner import lock_free
 from rrmctl.store.records import RunId, read_record, write_json
 from rrmctl.store.schema import SCHEMA_VERSION
@@ -121,43 +128,29 @@ def required(jobs: Iterable[Job], among: Iterable[Job]) -> set[str]:
 
 
 def read_sweeps(layout: Layout, experiment: str | None = None) -> list[SweepRecord]:
-    """All variants of an experiment, or of all experiments, sorted by experiment and variant."""
+    """All variants of all experiments, sorted by both, or of one: UserError where it was never run here."""
     sweeps, damage = readable_sweeps(layout, experiment)
     if damage:
         raise damage[0]
-    return sweeps
-
-
-def find_sweeps(layout: Layout, experiment: str) -> list[SweepRecord]:
-    """The variants of an experiment that were run here.
-
-    Raises:
-        UserError: none was; the message lists what is there.
-    """
-    sweeps = read_sweeps(layout, experiment)
-    if not sweeps:
+    if experiment is not None and not sweeps:
         raise never_run(layout, experiment)
     return sweeps
 
 
 def readable_sweeps(layout: Layout, experiment: str | None = None) -> tuple[list[SweepRecord], list[UserError]]:
-    """Like `read_sweeps`, for those who can go on without a damaged record: what could be read, and what could not.
+    """What could be read, and what could not, for those who can go on without a damaged record.
 
-    Raises:
-        VersionError: a record is of another schema version; so is what belongs to it, then.
+    Raises VersionError where a record is of another schema version: so is what belongs to it, then.
     """
     experiments = layout.experiments() if experiment is None else [experiment]
-    sweeps: list[SweepRecord] = []
+    sweeps: list[SweepRecord | None] = []
     damage: list[UserError] = []
     for path in (file for name in experiments for file in layout.sweep_files(name)):
         try:
-            sweep = read_sweep(path)
+            sweeps.append(read_sweep(path))
         except (DamagedError, StorageError) as error:
             damage.append(error)
-            continue
-        if sweep is not None:  # not removed since the folder was listed
-            sweeps.append(sweep)
-    return sweeps, damage
+    return [sweep for sweep in sweeps if sweep is not None], damage  # None: removed since the folder was listed
 
 
 def read_sweep(path: Path) -> SweepRecord | None:
@@ -170,10 +163,9 @@ def read_sweep(path: Path) -> SweepRecord | None:
     if (sweep.experiment, sweep.variant) != (path.parent.name, path.stem):  # files are named after what they say
         problem = f"it is the record of {sweep.experiment!r} ({sweep.variant!r})"
         raise DamagedError(f"{path} is damaged: {problem}", hint)
+    requires = {job.id: job.requires for job in (*sweep.jobs, *sweep.needed) if job.requires}
     try:
-        graphlib.TopologicalSorter(
-            {job.id: job.requires for job in (*sweep.jobs, *sweep.needed) if job.requires}
-        ).prepare()
+        graphlib.TopologicalSorter(requires).prepare()
     except graphlib.CycleError as error:
         problem = f"runs need each other in a circle: {', '.join(error.args[1])}"
         raise DamagedError(f"{path} is damaged: {problem}", hint) from None
@@ -205,11 +197,7 @@ def record_sweep(layout: Layout, asked: SweepRecord) -> SweepRecord:
 
 
 def unused_runs(layout: Layout) -> list[str]:
-    """Ids of the runs below the results root that no record names, sorted.
-
-    Raises:
-        UserError: a record is damaged, cannot be read now, or is of another schema version: it may name any run.
-    """
+    """Ids of the runs below the results root that no record names, sorted. One that cannot be read may name any run."""
     named = {job.id for sweep in read_sweeps(layout) for job in sweep.everything}
     return [run for run in layout.run_ids() if run not in named]
 
@@ -218,10 +206,6 @@ def remove_unused(layout: Layout, runs: Iterable[str]) -> list[str]:
     """Remove those of these runs that are unused still and that no process owns, each as a whole; their ids.
 
     Records forget what was superseded and is gone. While it works no command records a sweep.
-
-    Raises:
-        StorageError: the results folder takes no write.
-        UserError: as `unused_runs`.
     """
     with contextlib.ExitStack() as recording_kept_out:
         for experiment in layout.experiments():

@@ -9,9 +9,8 @@ from pydantic import StrictFloat, StrictInt, StrictStr
 
 from rrmctl.errors import UserError
 from rrmctl.labels import Label
-from rrmctl.store.files import remove_leftovers
+from rrmctl.store.files import locked, remove_leftovers
 from rrmctl.store.layout import Layout
-from rrmctl.store.locks import locked
 from rrmctl.store.records import read_record, write_json
 from rrmctl.store.schema import SCHEMA_VERSION
 
@@ -48,7 +47,7 @@ def read_trial(layout: Layout, experiment: str, variant: str) -> Trial | None:
 
 
 def begin_trial(layout: Layout, experiment: str, variant: str, trial: Trial) -> None:
-    """Write down the rules of a test, or see that they are those of the test that was begun here; refused else."""
+    """Write down the rules of a test, or see that they are those of the test that was begun here: else a UserError."""
     path = layout.trial(experiment, variant)
     with locked(layout.sweep_lock(experiment)):
         remove_leftovers(path.parent)

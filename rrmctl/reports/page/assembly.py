@@ -103,11 +103,7 @@ def _command(
 
 
 def render(page: Part, command: str) -> str:
-    """The document, whose own script is the only one that a browser runs.
-
-    Args:
-        command: what makes it again.
-    """
+    """The document, whose own script is the only one that a browser runs; `command` makes it again."""
     here = PackageLoader(__package__, "")
     environment = Environment(loader=here, autoescape=True, undefined=StrictUndefined, trim_blocks=True)
     environment.filters["digest"] = lambda text: base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()

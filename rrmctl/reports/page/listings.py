@@ -17,8 +17,6 @@ from rrmctl.store.snapshot import Run
 if TYPE_CHECKING:
     import pandas as pd
 
-#: Groups of runs whose settings fit side by side.
-_FEW = 8
 #: States of runs that need somebody's attention.
 TROUBLE = ("failed", "blocked", "unreadable")
 
@@ -95,7 +93,7 @@ def _runs(which: str, runs: Sequence[Run]) -> Table:
 def _differing(runs: Sequence[Run]) -> Table:
     """Settings that differ; of few groups of runs with a column for each, called by what tells it from the others."""
     table = differing_settings(runs)
-    if len(table) <= _FEW:
+    if len(table) <= 8:  # fit side by side
         labels = table[[name for name in GROUP if table[name].nunique() > 1]].itertuples(index=False, name=None)
         table = table.drop(columns=list(GROUP)).T
         table.columns = [" ".join(name for name in label if name != NOTHING_ASKED) for label in labels]

@@ -14,7 +14,7 @@ from rrmctl import doctor
 from rrmctl.reports.figure_layout import encode
 from rrmctl.reports.figures.box import box_plot
 from rrmctl.reports.figures.curves import learning_curves
-from rrmctl.running.process import worker_environment
+from rrmctl.running.local import worker_environment
 from tests.rrmctl.reports.frames import Sweep
 
 EXPERIMENTS = str(Path(__file__).parents[3] / "experiments")

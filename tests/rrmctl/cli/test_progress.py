@@ -5,8 +5,7 @@ from __future__ import annotations
 import pytest
 
 from rrmctl.cli.progress import Group, errors, group_by_row, group_by_sweep
-from rrmctl.store.speeds import speeds
-from rrmctl.store.status import ErrorKind, RunError, RunState, Status
+from rrmctl.store.status import ErrorKind, RunError, RunState, Status, speeds
 from rrmctl.store.sweeps import Job, SweepRecord
 
 

@@ -21,8 +21,8 @@ from rrmctl.cli.app import app
 from rrmctl.cli.request import Request, forecast
 from rrmctl.store import load, planned
 from rrmctl.store.curve import CurveWriter
+from rrmctl.store.files import try_lock
 from rrmctl.store.layout import Layout
-from rrmctl.store.locks import try_lock
 from rrmctl.store.schema import TIMINGS
 from rrmctl.store.status import ErrorKind, RunError, RunState, Status, read_status, run_status, write_status
 from rrmctl.store.sweeps import read_sweeps

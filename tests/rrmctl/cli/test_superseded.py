@@ -15,8 +15,8 @@ from rrmctl.cli.request import Request
 from rrmctl.running.config_file import config_content
 from rrmctl.store import load, planned
 from rrmctl.store.curve import CurveWriter
+from rrmctl.store.files import try_lock
 from rrmctl.store.layout import Layout
-from rrmctl.store.locks import try_lock
 from rrmctl.store.provenance import record_config
 from rrmctl.store.status import RunState, Status, write_status
 from rrmctl.store.sweeps import SweepRecord, read_sweeps, record_sweep

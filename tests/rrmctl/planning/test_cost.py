@@ -17,8 +17,7 @@ from rrmctl.planning import cost, manifest
 from rrmctl.planning.cost import core_speed, estimate_seconds, tabled_seconds
 from rrmctl.planning.plan import Plan, make_plan
 from rrmctl.store.layout import Layout
-from rrmctl.store.speeds import stored_speeds
-from rrmctl.store.status import RunState, Status, write_status
+from rrmctl.store.status import RunState, Status, stored_speeds, write_status
 from rrmctl.store.sweeps import SweepRecord, record_sweep
 
 

@@ -16,8 +16,8 @@ import pytest
 
 from rrmctl.errors import Exit
 from rrmctl.running.scheduler import Outcome, Stage
+from rrmctl.store.files import is_locked, try_lock
 from rrmctl.store.layout import RunFolder
-from rrmctl.store.locks import is_locked, try_lock
 from rrmctl.store.owner import read_beat
 from rrmctl.store.status import RunState, read_status
 from tests.rrmctl.running.standin import expected, live_on, prepare

@@ -9,6 +9,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from dataclasses import asdict
 from pathlib import Path
 
 import pytest
@@ -16,8 +17,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rrmctl.running.executor import Event, Note, WorkOrder
+from rrmctl.running.local import Child
 from rrmctl.running.parent_link import Pipe, StopRequest, _line
-from rrmctl.running.process import Child
 from rrmctl.store.layout import Layout
 from rrmctl.store.status import ErrorKind, RunError
 
@@ -42,7 +43,7 @@ def test_messages_are_lines_of_json(ends: tuple[int, Pipe]) -> None:
     reading, pipe = ends
     for step in range(1000):
         pipe.beat(step=step, steps_per_s=None)
-    pipe.error(RunError(kind=ErrorKind.REFUSED, type="PriorError", message="NaN"))
+    pipe.send(event="error", **asdict(RunError(kind=ErrorKind.REFUSED, type="PriorError", message="NaN")))
     first, *_, last = received(reading)
     assert first == {"event": "beat", "step": 0, "steps_per_s": None}
     assert last == {"event": "error", "kind": "refused", "type": "PriorError", "message": "NaN"}

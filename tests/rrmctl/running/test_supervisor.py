@@ -26,8 +26,8 @@ from rrmctl.running.local import LocalExecutor
 from rrmctl.running.scheduler import Outcome, Stage
 from rrmctl.running.supervisor import Supervisor, Terms
 from rrmctl.store import load
+from rrmctl.store.files import try_lock
 from rrmctl.store.layout import Layout
-from rrmctl.store.locks import try_lock
 from rrmctl.store.status import ErrorKind, RunState, log_tail, read_status, run_status, write_status
 from rrmctl.store.sweeps import Job
 from tests.rrmctl.running.standin import COMMAND, expected, prepare

@@ -22,8 +22,8 @@ from rrmctl.running.monitor import RunMonitor
 from rrmctl.running.worker import WorkerExit, main
 from rrmctl.store import provenance, records
 from rrmctl.store.curve import read_curve
+from rrmctl.store.files import is_locked, try_lock
 from rrmctl.store.layout import Layout, RunFolder
-from rrmctl.store.locks import is_locked, try_lock
 from rrmctl.store.provenance import record_config
 from rrmctl.store.status import ErrorKind, RunState, Status, read_status, write_status
 from tests.rrmctl.running.standin import Trainer, config, prepare

@@ -13,11 +13,10 @@ from pathlib import Path
 
 import pytest
 
-from rrmctl.store.files import DamagedError, StorageError, remove_leftovers, write_bytes
-from rrmctl.store.locks import is_locked, try_lock
+from rrmctl.store.files import DamagedError, StorageError, is_locked, remove_leftovers, try_lock, write_bytes
 from rrmctl.store.records import read_json, write_json
 
-HOLD = "import sys, time; from rrmctl.store.locks import try_lock; from pathlib import Path; " \
+HOLD = "import sys, time; from rrmctl.store.files import try_lock; from pathlib import Path; " \
        "print(try_lock(Path(sys.argv[1])) is not None, flush=True); time.sleep(60)"  # fmt: skip
 
 

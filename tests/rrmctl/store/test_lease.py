@@ -18,10 +18,9 @@ from pathlib import Path
 import pytest
 
 from rrmctl.store import lease as module
-from rrmctl.store.files import StorageError
+from rrmctl.store.files import StorageError, is_locked, try_lock
 from rrmctl.store.layout import Layout, RunFolder
 from rrmctl.store.lease import Lease, LeaseLostError
-from rrmctl.store.locks import is_locked, try_lock
 from rrmctl.store.owner import Beat, Watch, read_beat
 from rrmctl.suspend_clock import WakingTime
 

@@ -10,9 +10,9 @@ import pytest
 from typer.testing import CliRunner
 
 from rrmctl.cli.app import app
+from rrmctl.store.files import try_lock
 from rrmctl.store.layout import Layout, RunFolder
 from rrmctl.store.lease import Lease
-from rrmctl.store.locks import try_lock
 from rrmctl.store.owner import HERE, Beat, Machine, is_owned, owned, read_beat
 from rrmctl.store.status import (
     ErrorKind,

@@ -16,9 +16,8 @@ import pytest
 from rrmctl.errors import UserError
 from rrmctl.store import load, planned
 from rrmctl.store.curve import CurveWriter
-from rrmctl.store.files import DamagedError, VersionError
+from rrmctl.store.files import DamagedError, VersionError, try_lock
 from rrmctl.store.layout import Layout, find_run
-from rrmctl.store.locks import try_lock
 from rrmctl.store.provenance import collect, read_config, read_provenance, record_config
 from rrmctl.store.provenance import record as record_provenance
 from rrmctl.store.schema import LABELS, MEASURED
@@ -34,7 +33,7 @@ from rrmctl.store.status import (
     run_status,
     write_status,
 )
-from rrmctl.store.sweeps import Job, SweepRecord, find_sweeps, read_sweeps, readable_sweeps, record_sweep
+from rrmctl.store.sweeps import Job, SweepRecord, read_sweeps, readable_sweeps, record_sweep
 from rrmctl.store.trials import Trial, begin_trial, read_trial
 from tests.rrmctl.running.standin import prepare, row
 
@@ -353,7 +352,7 @@ def test_an_experiment_that_never_ran_is_answered_with_those_that_did(tmp_path: 
     """So are a folder that does not exist, and ids that fit no run or several."""
     layout, jobs = prepare(tmp_path, range(30))
     with pytest.raises(UserError, match=r'holds no runs of "stand-inn"; did you mean "stand-in"\?') as error:
-        find_sweeps(layout, "stand-inn")
+        read_sweeps(layout, "stand-inn")
     assert error.value.hint == "it holds: stand-in"
     with pytest.raises(UserError, match="there is no results folder"):
         planned(tmp_path / "nowhere")
