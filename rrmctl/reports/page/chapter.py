@@ -12,7 +12,7 @@ from rrmctl.errors import UserError
 from rrmctl.reports.figure_layout import Figure, encode
 from rrmctl.reports.figures import figures
 from rrmctl.reports.page import listings
-from rrmctl.reports.page.parts import Column, Part, Picture, Table, identifier
+from rrmctl.reports.page.parts import PageColumn, Part, Picture, Table, identifier
 from rrmctl.reports.report import Report, title
 from rrmctl.reports.series import Section
 from rrmctl.reports.statistics import Statistics
@@ -167,7 +167,7 @@ def tables_at(place: Place, name: str, gathered: Tables) -> Part:
 def _table(report: Report, caption: str) -> Part:
     """The table; of claims those that are decided, and the others folded below."""
     grid = report.grid
-    columns = [Column(name, at, at >= grid.words) for at, name in enumerate(grid.header)]
+    columns = [PageColumn(name, at, at >= grid.words) for at, name in enumerate(grid.header)]
     table = Table(caption, columns, grid.rows, best=grid.best)
     if "Verdict" not in grid.header:
         return Part(tables=[table])

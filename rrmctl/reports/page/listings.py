@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from rrmctl.commands import run_commands
 from rrmctl.labels import NOTHING_ASKED
-from rrmctl.reports.page.parts import Column, Part, Table
+from rrmctl.reports.page.parts import PageColumn, Part, Table
 from rrmctl.reports.run_facts import GROUP, common_settings, differing_settings, makings, spending, total
 from rrmctl.store.snapshot import Run
 
@@ -42,10 +42,10 @@ _HEADINGS = {
 }  # fmt: skip
 
 
-def columns(*fields: str) -> list[Column]:
+def columns(*fields: str) -> list[PageColumn]:
     """Columns of these fields."""
     return [
-        Column(_HEADINGS.get(name, name.capitalize()), name, name in _NUMBERS, _NUMBERS.get(name, str))
+        PageColumn(_HEADINGS.get(name, name.capitalize()), name, name in _NUMBERS, _NUMBERS.get(name, str))
         for name in fields
     ]
 
@@ -105,7 +105,7 @@ def _of_texts(caption: str, table: pd.DataFrame) -> Table:
     """A frame without numbers."""
     words = (*GROUP, "setting", "value", "fact")
     names = [name.capitalize() if name in words else name for name in table.columns]
-    shown = [Column(name, at) for at, name in enumerate(names)]
+    shown = [PageColumn(name, at) for at, name in enumerate(names)]
     return Table(caption, shown, [*table.itertuples(index=False, name=None)])
 
 

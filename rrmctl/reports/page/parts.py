@@ -11,10 +11,10 @@ import pandas as pd
 
 from rrmctl.reports.columns import NOTHING
 
-Row = Mapping[Any, Any] | Sequence[Any]
+PageRow = Mapping[Any, Any] | Sequence[Any]
 
 
-class Column(NamedTuple):
+class PageColumn(NamedTuple):
     """A column of a table."""
 
     name: str
@@ -32,9 +32,9 @@ class Table:
     """A table that sorts, and that scrolls within itself where the window is narrow; one without rows is left out."""
 
     caption: str
-    columns: Sequence[Column]
-    rows: Sequence[Row]  #: the first cell of one with a `link` leads to the part of that id
-    total: Row = ()  #: stays at the end
+    columns: Sequence[PageColumn]
+    rows: Sequence[PageRow]  #: the first cell of one with a `link` leads to the part of that id
+    total: PageRow = ()  #: stays at the end
     best: frozenset[tuple[int, int]] = frozenset()  #: row and field of what is to be set in bold
 
     def __bool__(self) -> bool:

@@ -21,7 +21,7 @@ from rrmctl.reports.figures import figures
 from rrmctl.reports.page.assembly import build, render
 from rrmctl.reports.page.chapter import MOST_BYTES, SEVERAL, gather, picture
 from rrmctl.reports.page.listings import clock
-from rrmctl.reports.page.parts import Column, Part, Picture, Table, identifier
+from rrmctl.reports.page.parts import PageColumn, Part, Picture, Table, identifier
 from rrmctl.reports.report import Report
 from rrmctl.reports.select import read_sections
 from rrmctl.reports.statistics import Statistics
@@ -214,7 +214,7 @@ def test_a_figure_is_never_large():
 
 def test_a_long_table_is_cut_and_says_so():
     """Beyond a number of rows the caption tells how many there are."""
-    table = Table("Numbers", [Column("A", "a", number=True)], [{"a": at} for at in range(2007)])
+    table = Table("Numbers", [PageColumn("A", "a", number=True)], [{"a": at} for at in range(2007)])
     made = render(Part(tables=[table]), "")
     assert made.count("<tr>") == 2001
     assert "the first 2,000 of 2,007 rows" in made
@@ -222,7 +222,7 @@ def test_a_long_table_is_cut_and_says_so():
 
 def test_a_cell_is_what_it_says():
     """Numbers stand with their exact value, what is missing without one; long words may break; the first cell heads."""
-    shown = [Column("A", "a"), Column("B", "b", number=True, show="{:.1f}".format)]
+    shown = [PageColumn("A", "a"), PageColumn("B", "b", number=True, show="{:.1f}".format)]
     rows = [{"a": "short", "b": 0.25}, {"a": "long " * 9, "b": None, "link": "there"}, {"a": None, "b": float("nan")}]
     made = render(Part(tables=[Table("Cells", shown, rows, total={"a": "all", "b": np.float64(2)})]), "")
     cells = re.findall("<t[hd][^>]*>.*?</t[hd]>", made)[2:]
@@ -234,7 +234,7 @@ def test_a_cell_is_what_it_says():
 
 def test_whatever_the_page_shows_is_text():
     """What looks like code is shown as it is written, wherever it stands, in content and in attributes."""
-    table = Table(NASTY, [Column(NASTY, 0)], [[NASTY], {0: NASTY, "link": NASTY}], [NASTY], frozenset({(0, 0)}))
+    table = Table(NASTY, [PageColumn(NASTY, 0)], [[NASTY], {0: NASTY, "link": NASTY}], [NASTY], frozenset({(0, 0)}))
     inner = {"title": NASTY, "tables": [table], "notes": [NASTY], "rules": [NASTY], "commands": NASTY}
     figure = Picture(NASTY, NASTY, NASTY, 1, NASTY)
     texts = {"paragraphs": [NASTY], "warnings": [NASTY], "failures": [(NASTY, NASTY)], "figures": [NASTY, figure]}
