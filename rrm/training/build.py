@@ -131,7 +131,7 @@ class _Phases:
         phases = self._begun_by(source), Phase(name=source.name, begin=config.random_steps, source=source)
         if kept:
             return phases
-        g = ImitatedReward(source.airl.discriminator.g)
+        g = ImitatedReward(source.discriminator.g)
         tuned = self._preferences(Finetune(g, config.reward, self.streams.numpy("reward"), source.log))
         updates = int(config.first_session % config.agent.update_every == 0)  # the agent learns on as it did
         return *phases, Phase(name=tuned.name, begin=config.first_session, source=tuned, first_updates=updates)
