@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import json
 from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
@@ -19,11 +18,12 @@ from rrm.envs.observer import Observer
 from rrm.errors import ConfigError
 from rrm.files import make_folder, place, read_bounded, write_atomically
 from rrm.interfaces import Agent, Env, RewardFunction
+from rrm.priors.values import PriorSource
 from rrm.seeding import Streams
 from rrm.training.build import build_agent, build_prior, build_reward
 from rrm.training.evaluate import evaluate
+from rrm.training.jobs import Monitor
 from rrm.training.jobs import train as train_job
-from rrm.training.prior_values import PriorSource
 from rrm.training.run_config import RunConfig
 from rrm.types import EvalRow, Evaluation, Floats, Obs, State
 
@@ -154,8 +154,8 @@ class LearnedReward(gymnasium.Wrapper[Floats, Floats, Floats, Floats]):
         return obs, reward, terminated, truncated, info | {"true_reward": float(true_reward)}
 
 
-class _Listener:
-    """A monitor that keeps the evaluations, and lets everything else pass."""
+class _Listener(Monitor):
+    """A monitor that keeps the evaluations."""
 
     def __init__(self, on_row: Callable[[EvalRow], None]) -> None:
         self._on_row = on_row
@@ -171,12 +171,6 @@ class _Listener:
     def beat(self, step: int, steps_per_s: float) -> None: ...
 
     def note(self, message: str) -> None: ...
-
-    def should_stop(self) -> bool:
-        return False
-
-    def writing(self) -> contextlib.AbstractContextManager[None]:
-        return contextlib.nullcontext()
 
 
 def _read(path: Path) -> RunConfig:

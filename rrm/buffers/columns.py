@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections import deque
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-import numpy.typing as npt
 import torch
 from torch import Tensor
 
-from rrm.checkpoint import AppendLog
+from rrm.checkpoint import KEPT, AppendLog
 
 if TYPE_CHECKING:
     from rrm.types import State
@@ -37,7 +36,7 @@ class Columns:
         self.rows = 0  #: that are filled
         self.generation = 0  #: of the reward column: one more whenever all of it is rewritten
         self._saved_rows = 0
-        self._saved_generation = 0
+        self._saved_generations = deque([0], maxlen=KEPT)  # of the kept checkpoints
         self._logs: tuple[AppendLog, AppendLog] | None = None
 
     def reserve(self, rows: int) -> None:
@@ -56,14 +55,17 @@ class Columns:
         Rows are never written twice. The reward column is written anew only after a relabelling, whose own cost is
         proportional to its length anyway.
         """
-        records, rewards = self._logs or self._open(folder, self.generation)
-        if self.generation != self._saved_generation:
+        records, rewards = self._logs or self._open(folder)
+        if self.generation != self._saved_generations[-1]:
             rewards = AppendLog(_reward_path(folder, self.generation))
-            self._saved_generation = self.generation
-        records.append(self._records(self._saved_rows, self.rows).tobytes())
+        rows = np.empty(self.rows - self._saved_rows, self._dtype())
+        for name in _LOGGED:
+            rows[name] = getattr(self, name)[self._saved_rows : self.rows].numpy()
+        records.append(rows.tobytes())
         rewards.append(self.reward.numpy()[rewards.size // 4 : self.rows].tobytes())
         self._logs = (records, rewards)
         self._saved_rows = self.rows
+        self._saved_generations.append(self.generation)
         return {
             "rows": self.rows,
             "generation": self.generation,
@@ -78,52 +80,39 @@ class Columns:
         Raises:
             CheckpointError: the logs do not hold what the state says.
         """
-        rows, generation = int(state["rows"]), int(state["generation"])
-        records, rewards = self._open(folder, generation)
-        self.reserve(rows + 1)
-        at, dtype = 0, self._dtype()
+        self.generation = int(state["generation"])
+        records, rewards = self._logs = self._open(folder)
+        self.reserve(int(state["rows"]) + 1)
         (size, crc), (reward_size, reward_crc) = state["transitions"], state["rewards"]
+        dtype, rewarded = self._dtype(), 0
         for block in records.restore(size, crc, dtype.itemsize):
-            at = self._read_records(at, np.frombuffer(block, dtype))
-        self.rows, at = at, 0
+            rows = np.frombuffer(block, dtype)
+            begin, self.rows = self.rows, self.rows + len(rows)
+            for name in _LOGGED:
+                getattr(self, name).numpy()[begin : self.rows] = rows[name]
         for block in rewards.restore(reward_size, reward_crc, self.reward.itemsize):
             values = np.frombuffer(block, np.float32)
-            self.reward.numpy()[at : at + len(values)] = values
-            at += len(values)
-        self._logs = (records, rewards)
-        self.generation = self._saved_generation = generation
+            self.reward.numpy()[rewarded : rewarded + len(values)] = values
+            rewarded += len(values)
         self._saved_rows = self.rows
+        self._saved_generations = deque([self.generation], maxlen=KEPT)
         self.obs[self.rows] = state["next_obs"]
 
-    def discard(self, folder: Path, kept_generations: Collection[int]) -> None:
-        """Remove reward columns of generations that no kept checkpoint refers to."""
-        kept = {_reward_path(folder, generation) for generation in kept_generations}
+    def discard(self, folder: Path) -> None:
+        """Remove reward columns of generations that no kept checkpoint refers to, once the newest is committed."""
+        kept = {_reward_path(folder, generation) for generation in self._saved_generations}
         for path in folder.glob("reward-*.bin"):
             if path not in kept:
                 path.unlink()
 
-    @staticmethod
-    def _open(folder: Path, generation: int) -> tuple[AppendLog, AppendLog]:
-        return AppendLog(folder / "transitions.bin"), AppendLog(_reward_path(folder, generation))
+    def _open(self, folder: Path) -> tuple[AppendLog, AppendLog]:
+        return AppendLog(folder / "transitions.bin"), AppendLog(_reward_path(folder, self.generation))
 
     def _dtype(self) -> np.dtype[np.void]:
         return np.dtype([
             ("obs", "<f4", (self.obs.shape[1],)), ("act", "<f4", (self.act.shape[1],)), ("prior", "<f4"),
             ("raw_prior", "<f4"), ("true_reward", "<f4"), ("kind", "u1"),
         ])  # fmt: skip
-
-    def _records(self, begin: int, end: int) -> npt.NDArray[np.void]:
-        records = np.empty(end - begin, self._dtype())
-        for name in _LOGGED:
-            records[name] = getattr(self, name)[begin:end].numpy()
-        return records
-
-    def _read_records(self, begin: int, records: npt.NDArray[np.void]) -> int:
-        """Put records into the rows from `begin` on; returns the row behind them."""
-        end = begin + len(records)
-        for name in _LOGGED:
-            getattr(self, name).numpy()[begin:end] = records[name]
-        return end
 
 
 def _reward_path(folder: Path, generation: int) -> Path:

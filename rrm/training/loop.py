@@ -7,9 +7,8 @@ store the transition with its prior value. The update at step t therefore never 
 from __future__ import annotations
 
 import time
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -19,46 +18,18 @@ from rrm.errors import NumericalError, WaitingError
 from rrm.nets.precision import check_precision
 from rrm.seeding import Streams, evaluation_seed
 from rrm.sources.base import RewardSource
-from rrm.training.build import Assembled, Results, assemble
+from rrm.training.build import NO_RESULTS, Assembled, Results, assemble
 from rrm.training.evaluate import evaluate
-from rrm.training.phases import phase_at
 from rrm.training.run_config import RunConfig
 from rrm.types import EvalRow, Floats, Obs, State, Transition
 
 _NAN = float("nan")
 
 
-@dataclass
-class Clock:
-    """Training time without interruptions, and the step rate since the last row."""
-
-    wall_s: float = 0.0  #: up to `started`
-    row_wall_s: float = 0.0  #: at the last row
-    row_step: int = 0
-    started: float = field(default_factory=time.monotonic)
-
-    def now(self) -> float:
-        """Seconds of training so far."""
-        return self.wall_s + time.monotonic() - self.started
-
-    def state_dict(self) -> State:
-        return {"wall_s": self.now(), "row_wall_s": self.row_wall_s, "row_step": self.row_step}
-
-    def load_state_dict(self, state: State) -> None:
-        self.wall_s, self.row_wall_s = float(state["wall_s"]), float(state["row_wall_s"])
-        self.row_step = int(state["row_step"])
-        self.started = time.monotonic()
-
-
 class Trainer:
     """All the state of one run. `advance` takes one environment step; rows are asked for with `evaluate`."""
 
-    def __init__(
-        self,
-        config: RunConfig,
-        results: Results = MappingProxyType({}),
-        assembled: Assembled = assemble,
-    ) -> None:
+    def __init__(self, config: RunConfig, results: Results = NO_RESULTS, assembled: Assembled = assemble) -> None:
         """Args:
         results: folders of the runs that this one requires, by identity.
         assembled: makes agent, prior and phases.
@@ -76,7 +47,8 @@ class Trainer:
         self.prior = parts.prior
         self.phases = parts.phases
         self.sources: dict[str, RewardSource] = {phase.source.name: phase.source for phase in self.phases}
-        self.clock = Clock()
+        self._started = time.monotonic()  # as if nothing had interrupted it
+        self._row_wall_s, self._row_step = 0.0, 0  # at the last row
         self._explore = self.streams.numpy("explore")
         self._row_transition = 0  # transitions at the last row
         self._return, self._length = 0.0, 0  # of the episode under way
@@ -90,7 +62,7 @@ class Trainer:
             NumericalError: an action, reward or prior is not finite.
             PriorError: the prior failed.
         """
-        phase = phase_at(self.phases, self.step)
+        phase = next(phase for phase in reversed(self.phases) if phase.begin <= self.step)
         phase.source.ask(self.step)
         missing = phase.source.waiting()
         if missing:
@@ -147,15 +119,15 @@ class Trainer:
         for source in sources:
             source.evaluated(step, result)
             figures |= source.figures(rng)
-        wall = self.clock.now()
-        elapsed = wall - self.clock.row_wall_s
+        wall = time.monotonic() - self._started
+        elapsed = wall - self._row_wall_s
         row = EvalRow(
             step=step, episodes=config.evaluation.episodes, true_return=result.true_return, success=result.success,
             queries=sum(source.queries for source in sources), labels=sum(source.labels for source in sources),
-            **self._lived(), wall_s=wall, steps_per_s=(step - self.clock.row_step) / elapsed if elapsed else _NAN,
+            **self._lived(), wall_s=wall, steps_per_s=(step - self._row_step) / elapsed if elapsed else _NAN,
             figures=figures,
         )  # fmt: skip
-        self.clock.row_wall_s, self.clock.row_step = wall, step
+        self._row_wall_s, self._row_step = wall, step
         self._row_transition = self.experience.transitions
         self.rows.append(row)
         return row
@@ -180,7 +152,9 @@ class Trainer:
             "agent": self.agent.state_dict(),
             "prior": None if self.prior is None else self.prior.state_dict(),
             "sources": {name: source.state_dict() for name, source in self.sources.items()},
-            "clock": self.clock.state_dict(),
+            "clock": {
+                "wall_s": time.monotonic() - self._started, "row_wall_s": self._row_wall_s, "row_step": self._row_step,
+            },
             "rows": [asdict(row) for row in self.rows],
             "loop": {
                 "step": self.step, "obs": self._obs.state, "row_transition": self._row_transition,
@@ -202,9 +176,10 @@ class Trainer:
             self.prior.load_state_dict(state["prior"])
         for name, source in self.sources.items():
             source.load_state_dict(state["sources"][name])
-        self.clock.load_state_dict(state["clock"])
         self.rows = [EvalRow(**row) for row in state["rows"]]
-        loop = state["loop"]
+        clock, loop = state["clock"], state["loop"]
+        self._started = time.monotonic() - float(clock["wall_s"])
+        self._row_wall_s, self._row_step = float(clock["row_wall_s"]), int(clock["row_step"])
         self.step, self._row_transition = int(loop["step"]), int(loop["row_transition"])
         self._obs = self.env.seen(loop["obs"])
         self._return, self._length = float(loop["return"]), int(loop["length"])

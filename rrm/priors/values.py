@@ -1,16 +1,29 @@
-"""The prior value of each transition, computed once, while the transition is collected."""
+"""The prior value of each transition, computed and scaled once, while the transition is collected.
+
+It keeps what it was given then; nothing is scaled anew later. The appendix divides by the running standard deviation
+where that exceeds 1, and never shifts: a shift is invisible to preferences over segments of equal length, and enlarging
+a small prior could carry it beyond the residual's reach. The main text writes a z-score. Both update with the new value
+first and then apply.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
-from rrm.envs import Task
-from rrm.priors.scale import Normaliser
+from rrm.envs.tasks import Task
+from rrm.moments import RunningMoments
 from rrm.priors.step import PriorStep, Scene, evaluate_prior
 from rrm.types import Floats, State
+
+_EPSILON = 1e-8  # of the z-score; the paper names it and gives no value
+
+
+def scaled(raw: float, seen: RunningMoments, normaliser: Literal["scale", "zscore"]) -> float:
+    """Over max(1, sigma), the appendix' "scale", or (x - mu) / (sigma + epsilon), the main text's "zscore"."""
+    return raw / max(1.0, seen.std) if normaliser == "scale" else (raw - seen.mean) / (seen.std + _EPSILON)
 
 
 class PriorSource:
@@ -20,7 +33,7 @@ class PriorSource:
         self,
         name: str,
         prior: Callable[[PriorStep], float],
-        normaliser: Normaliser,
+        normaliser: Literal["scale", "zscore"],
         task: Task,
         rng: np.random.Generator,
     ) -> None:
@@ -30,6 +43,7 @@ class PriorSource:
         self._normaliser = normaliser
         self._task = task
         self._rng = rng
+        self._seen = RunningMoments()
         self._first: Floats = np.zeros(task.spaces.obs, np.float32)
 
     def begin_episode(self, obs: Floats) -> None:
@@ -43,24 +57,23 @@ class PriorSource:
             PriorError: the prior raised, or returned something else than one finite number.
         """
         raw = self._raw(obs, act, info, f'prior "{self._name}" at step {step}')
-        return raw, self._normaliser(raw)
+        self._seen.add(raw)
+        return raw, scaled(raw, self._seen, self._normaliser)
 
     def look(self, obs: Floats, act: Floats, info: dict[str, Any]) -> float:
         """The scaled prior of a step, at the scale as it is: nothing is learned from looking. Raises as a call does."""
-        return self._normaliser.scaled(self._raw(obs, act, info, f'prior "{self._name}"'))
+        return scaled(self._raw(obs, act, info, f'prior "{self._name}"'), self._seen, self._normaliser)
 
     def _raw(self, obs: Floats, act: Floats, info: dict[str, Any], where: str) -> float:
         first = Scene(self._task, self._first)
-        step = PriorStep(
-            task=self._task, obs=_read_only(obs), act=_read_only(act), info=info, rng=self._rng, first=first
-        )
+        step = PriorStep(self._task, _read_only(obs), _read_only(act), info, self._rng, first)
         return evaluate_prior(self._prior, step, where)
 
     def state_dict(self) -> State:
-        return {"normaliser": self._normaliser.state_dict(), "first": self._first}
+        return {"normaliser": self._seen.state_dict(), "first": self._first}
 
     def load_state_dict(self, state: State) -> None:
-        self._normaliser.load_state_dict(state["normaliser"])
+        self._seen.load_state_dict(state["normaliser"])
         self._first = state["first"]
 
 
