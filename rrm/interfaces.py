@@ -6,7 +6,7 @@ continues bit for bit where it was saved.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
+from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -16,13 +16,12 @@ from rrm.config import Needs
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    import gymnasium
     from torch import Tensor
 
-    from rrm.types import Batch, Floats, Obs, Pixels, Segments, State
+    from rrm.types import Batch, Floats, Obs, Segments, State
 
 __all__ = [
-    "Agent", "Answer", "CriticAgent", "Env", "Feedback", "Needs", "Query", "RewardFunction", "RewardLearner",
+    "Agent", "Answer", "CriticAgent", "Feedback", "Needs", "Query", "RewardFunction", "RewardLearner",
     "SegmentRef", "Stateful", "StochasticAgent", "Teacher", "TrueRewards",
 ]  # fmt: skip
 
@@ -35,36 +34,6 @@ class Stateful(Protocol):
 
     def load_state_dict(self, state: State) -> None:
         """Continue where `state_dict` was taken."""
-
-
-class Env(Protocol):
-    """A gymnasium environment whose simulator can be saved in mid-episode.
-
-    Observations are float32 [O] with every feature of its `Task`; actions lie in [-1, 1]; `reward` is the true reward;
-    `info["success"]` is 0.0 or 1.0 for this step on tasks that have the notion. A time limit is `truncated`.
-    """
-
-    observation_space: gymnasium.spaces.Box[np.float32]
-    action_space: gymnasium.spaces.Box[np.float32]
-    horizon: int  #: steps of an episode
-
-    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Floats, dict[str, Any]]:
-        """Start an episode; a seed restarts the stream from which task instances are drawn."""
-
-    def step(self, action: Floats) -> tuple[Floats, float, bool, bool, dict[str, Any]]:
-        """One environment step: observation, true reward, terminated, truncated, info."""
-
-    def frame(self) -> Pixels:
-        """The camera's picture of the simulator as it is, of the task's `FrameSpace`; only of tasks that have one."""
-
-    def state_dict(self) -> State:
-        """Simulator, task instance, step counter and random stream, at any moment between two steps."""
-
-    def load_state_dict(self, state: State) -> None:
-        """Continue from `state_dict`, bit for bit, in any process of the same machine type."""
-
-    def close(self) -> None:
-        """Free the simulator."""
 
 
 class Agent(Stateful, Protocol):

@@ -14,10 +14,11 @@ import torch
 
 from rrm.checkpoint import read_networks
 from rrm.config import EvaluationConfig
+from rrm.envs.base import TaskEnv
 from rrm.envs.observer import Observer
 from rrm.errors import ConfigError
 from rrm.files import make_folder, place, read_bounded, write_atomically
-from rrm.interfaces import Agent, Env, RewardFunction
+from rrm.interfaces import Agent, RewardFunction
 from rrm.priors.values import PriorSource
 from rrm.seeding import Streams
 from rrm.training.build import build_agent, build_prior, build_reward
@@ -131,8 +132,8 @@ class LearnedReward(gymnasium.Wrapper[Floats, Floats, Floats, Floats]):
     `info["true_reward"]` is the environment's own.
     """
 
-    def __init__(self, env: Env, run: Finished) -> None:
-        super().__init__(env)  # type: ignore[arg-type]  # our environments are gymnasium's
+    def __init__(self, env: TaskEnv, run: Finished) -> None:
+        super().__init__(env)
         self._reward, self._prior = run.reward, run.prior
         self._obs: Floats = np.zeros(0, np.float32)
 

@@ -73,14 +73,11 @@ class Experience(Columns):
         self.transitions += 1
         self.rows = row + 1
         if step.terminated or step.truncated:
-            self._end_episode(row + 1)
-
-    def _end_episode(self, row: int) -> None:
-        self.kind[row] = _END
-        for column in (self.act, self.prior, self.raw_prior, self.reward, self.true_reward):
-            column[row] = 0.0
-        self.episodes.append(Episode(self._episode_start, row - self._episode_start))
-        self._episode_start = self.rows = row + 1
+            self.kind[row + 1] = _END
+            for column in (self.act, self.prior, self.raw_prior, self.reward, self.true_reward):
+                column[row + 1] = 0.0
+            self.episodes.append(Episode(self._episode_start, row + 1 - self._episode_start))
+            self._episode_start = self.rows = row + 2
 
     def batch(self, numbers: Tensor, *, time_limits_end: bool = False) -> Batch:
         """The transitions of these numbers [B], counted from 0 in the order in which they were lived.
@@ -143,10 +140,6 @@ class Experience(Columns):
         super().load(folder, state)
         if self.frames is not None:
             self.frames.load(folder, state["frames"])
-        self._find_episodes()
-
-    def _find_episodes(self) -> None:
-        """Everything that follows from the kinds of the rows."""
         kinds = self.kind[: self.rows].numpy()
         steps, ends = np.flatnonzero(kinds != _END), np.flatnonzero(kinds == _END)
         self.transitions = len(steps)

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     import numpy as np
     import numpy.typing as npt
 
-    from rrm.interfaces import Env
+    from rrm.envs.base import TaskEnv
     from rrm.types import Floats
 
 ScoreKind = Literal["success", "return"]
@@ -135,7 +135,7 @@ def task(name: str) -> Task:
         raise UnknownNameError("task", name, TASKS) from None
 
 
-def make(name: str, horizon: int | None = None) -> Env:
+def make(name: str, horizon: int | None = None) -> TaskEnv:
     """A fresh environment of the task, ready for `reset(seed=...)`; its simulator is imported now.
 
     Args:
@@ -150,7 +150,7 @@ def make(name: str, horizon: int | None = None) -> Env:
     if horizon is not None and not 1 <= horizon <= spec.horizon:
         raise ConfigError(f"horizon is {horizon}; an episode of {name} has between 1 and {spec.horizon} steps")
     module, _, attribute = spec.entry_point.partition(":")
-    environment: Env = getattr(importlib.import_module(module), attribute)(
+    environment: TaskEnv = getattr(importlib.import_module(module), attribute)(
         **spec.kwargs, horizon=horizon or spec.horizon
     )
     return environment

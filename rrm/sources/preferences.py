@@ -96,7 +96,9 @@ class PreferenceReward(RewardSource):
             segment=self._length, experience=self._experience, reward=self.learner.reward,
             labelled=self.preferences.pairs, rng=self._rng, first=self.queries == 0,
         )  # fmt: skip
-        self._draw_unlabelled(count)
+        if unlabelled := self.learner.needs.unlabelled * count:
+            episodes = self._experience.episodes[-self._config.window :]
+            self.unlabelled.put(uniform_pairs(episodes, self._length, unlabelled, self._unlabelled_rng))
         margin = self.learner.needs.margin  # the teacher sees the middle of what the learner sees
         self.teacher.ask(self.journal.ask(self._experience, pairs + margin, self._config.segment, step))
 
@@ -119,27 +121,17 @@ class PreferenceReward(RewardSource):
             self._label_accuracy = self.learner.fit(self.feedback)["label_accuracy"]
             self.relabel()
 
-    def _draw_unlabelled(self, queries: int) -> None:
-        count = self.learner.needs.unlabelled * queries
-        if count:
-            episodes = self._experience.episodes[-self._config.window :]
-            self.unlabelled.put(uniform_pairs(episodes, self._length, count, self._unlabelled_rng))
-
     def batch(self, agent: Agent) -> Batch:
         """Transitions; before some updates the learner wants the critic first, and the rewards are those after it."""
-        if not self._refinement_due():
+        step, needs = self._replay.transitions, self.learner.needs  # every step is a transition
+        spent = self.queries >= self._config.budget and not needs.refine_when_spent
+        if step <= self._first or step % needs.refine_every or spent:
             return self._replay.sample()
-        batch = self._replay.sample(time_limits_end=self.learner.needs.time_limits_end)
+        batch = self._replay.sample(time_limits_end=needs.time_limits_end)
         if not self.learner.refine(batch, cast("CriticAgent", agent), self.feedback):
             return batch
         self.relabel()
         return batch._replace(reward=self.learner.reward.predict(batch.obs, batch.act, batch.prior))
-
-    def _refinement_due(self) -> bool:
-        """Before an update every so many steps after the first session: every step is a transition."""
-        step, needs = self._replay.transitions, self.learner.needs
-        spent = self.queries >= self._config.budget
-        return step > self._first and step % needs.refine_every == 0 and (needs.refine_when_spent or not spent)
 
     def relabel(self) -> None:
         """Give every stored transition the reward as it is learned now, on the prior stored with it."""

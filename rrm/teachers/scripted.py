@@ -60,19 +60,17 @@ class ScriptedTeacher:
         sums = np.stack([first.sum(1), second.sum(1)])
         typical = float(np.mean(self._per_step)) * first.shape[1] if self._per_step else 0.0
 
-        prefers = self._prefers_second(recency_weighted(first, config.gamma), recency_weighted(second, config.gamma))
+        worth = [recency_weighted(rewards, config.gamma) for rewards in (first, second)]
+        if config.beta is None:
+            prefers = worth[0] < worth[1]
+        else:
+            prefers = self._rng.random(len(first)) < preference_probability(worth[1] - worth[0], config.beta)
         flipped = self._rng.random(len(prefers)) < config.mistake
         preference: Preference = (prefers != flipped).astype(np.float32)
         preference[np.abs(sums[0] - sums[1]) < config.equal * typical] = EQUAL
         if config.skip * typical > 0:  # where a typical segment is worth less than nothing there is no such threshold
             preference[sums.max(axis=0) <= config.skip * typical] = SKIPPED
         return preference
-
-    def _prefers_second(self, first: npt.NDArray[np.float64], second: npt.NDArray[np.float64]) -> npt.NDArray[np.bool_]:
-        if self.config.beta is None:
-            return first < second
-        probability = preference_probability(second - first, self.config.beta)
-        return self._rng.random(len(first)) < probability
 
     def state_dict(self) -> State:
         return {"per_step": list(self._per_step)}

@@ -11,9 +11,9 @@ import numpy as np
 
 from rrm.checkpoint import again, read_networks
 from rrm.envs import make
+from rrm.envs.base import TaskEnv
 from rrm.errors import DemosError, MissingResultError
 from rrm.imitation.demos import Demonstrations
-from rrm.interfaces import Env
 from rrm.seeding import Streams
 from rrm.training.build import build_agent
 from rrm.training.run_config import RunConfig
@@ -96,7 +96,7 @@ def demonstrate(
     return demos
 
 
-def _episode(env: Env, policy: Policy, seed: int) -> dict[str, Any]:
+def _episode(env: TaskEnv, policy: Policy, seed: int) -> dict[str, Any]:
     columns: dict[str, list[Any]] = {"obs": [], "act": [], "next_obs": [], "terminated": []}
     obs, _ = env.reset(seed=seed)
     total, success, over = 0.0, -np.inf, False

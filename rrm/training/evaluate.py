@@ -14,8 +14,8 @@ from rrm.types import Evaluation
 def evaluate(agent: Agent, env: Observer, config: EvaluationConfig, *, seed: int, step: int) -> Evaluation:
     """Play `config.episodes` episodes; the instances depend on the run's seed, the step and the episode alone."""
     episodes = [_episode(agent, env, evaluation_seed(seed, step, number)) for number in range(config.episodes)]
-    counted = [_success(flags, config.success) for _, flags in episodes]
-    return Evaluation(float(np.mean([r for r, _ in episodes])), float(np.mean(counted)))
+    successes = [flags[-1] if config.success == "last" else float(np.max(flags)) for _, flags in episodes]
+    return Evaluation(float(np.mean([total for total, _ in episodes])), float(np.mean(successes)))
 
 
 def _episode(agent: Agent, env: Observer, seed: int) -> tuple[float, list[float]]:
@@ -27,7 +27,3 @@ def _episode(agent: Agent, env: Observer, seed: int) -> tuple[float, list[float]
         flags.append(float(info.get("success", np.nan)))
         over = terminated or truncated
     return total, flags
-
-
-def _success(flags: list[float], rule: str) -> float:
-    return flags[-1] if rule == "last" else float(np.max(flags))

@@ -1,6 +1,4 @@
-"""Jobs: what a process is given to do. `rrm.training.kinds` has the table: training a policy, or collecting
-demonstrations of one.
-"""
+"""Jobs: what a process is given to do. `rrm.training.kinds` has the table."""
 
 from __future__ import annotations
 
@@ -23,10 +21,9 @@ from rrm.files import make_folder, write_atomically
 from rrm.registry import lookup
 from rrm.training.build import DEMOS, NO_RESULTS, Assembled, Results, assemble, result_of
 from rrm.training.demonstrate import demonstrate, expert_policy
-from rrm.training.demos_config import DemosConfig
-from rrm.training.kinds import JOBS, JobConfig
+from rrm.training.kinds import JOBS, DemosConfig
 from rrm.training.loop import Trainer
-from rrm.training.run_config import RunConfig
+from rrm.training.run_config import JobConfig, RunConfig
 from rrm.types import EvalRow, State
 
 _BEAT_S = 0.25

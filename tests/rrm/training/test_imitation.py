@@ -22,8 +22,8 @@ from rrm.imitation.demos import Demonstrations
 from rrm.priors.imitation import ImitationPrior
 from rrm.registry import file_digest
 from rrm.training.build import result_of
-from rrm.training.demos_config import DemosConfig
 from rrm.training.jobs import collect, perform, train
+from rrm.training.kinds import DemosConfig
 from rrm.training.loop import Trainer
 from rrm.training.run_config import RunConfig
 from rrm.types import Obs
