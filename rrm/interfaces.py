@@ -54,11 +54,7 @@ class Agent(Stateful, Protocol):
         """Fresh critic, target and critic optimiser; actor and temperature stay (PEBBLE's first session)."""
 
     def figures(self) -> Mapping[str, float]:
-        """What the last update has to say, for the curve; NaN before the first.
-
-        Raises:
-            NumericalError: the last update made something that is not finite.
-        """
+        """What the last update has to say, for the curve; NaN before the first. `NumericalError` if not finite."""
 
     def weights(self) -> State:
         """Tensors that training changes, and that must stay finite."""

@@ -75,11 +75,7 @@ class Columns:
         }
 
     def load(self, folder: Path, state: State) -> None:
-        """Continue from what `save` returned, on empty columns.
-
-        Raises:
-            CheckpointError: the logs do not hold what the state says.
-        """
+        """Continue from what `save` returned, on empty columns; a `CheckpointError` where the logs do not hold it."""
         self.generation = int(state["generation"])
         records, rewards = self._logs = self._open(folder)
         self.reserve(int(state["rows"]) + 1)

@@ -51,17 +51,13 @@ class PriorSource:
         self._first = _read_only(obs)
 
     def __call__(self, obs: Floats, act: Floats, info: dict[str, Any], step: int) -> tuple[float, float]:
-        """Raw and scaled prior of the step from `obs` by `act` whose outcome is `info`.
-
-        Raises:
-            PriorError: the prior raised, or returned something else than one finite number.
-        """
+        """Raw and scaled prior of the step from `obs` by `act` with outcome `info`; raises as `evaluate_prior` does."""
         raw = self._raw(obs, act, info, f'prior "{self._name}" at step {step}')
         self._seen.add(raw)
         return raw, scaled(raw, self._seen, self._normaliser)
 
     def look(self, obs: Floats, act: Floats, info: dict[str, Any]) -> float:
-        """The scaled prior of a step, at the scale as it is: nothing is learned from looking. Raises as a call does."""
+        """The scaled prior of a step, at the scale as it is: nothing is learned from looking."""
         return scaled(self._raw(obs, act, info, f'prior "{self._name}"'), self._seen, self._normaliser)
 
     def _raw(self, obs: Floats, act: Floats, info: dict[str, Any], where: str) -> float:

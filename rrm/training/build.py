@@ -55,14 +55,10 @@ class Parts:
 
 
 def assemble(config: RunConfig, streams: Streams, results: Results) -> Parts:
-    """The parts of a run.
+    """The parts of a run, whose random numbers are those of `streams`.
 
-    Args:
-        streams: of its random numbers.
-        results: folders of the runs that this one requires, by identity.
-
-    Raises:
-        RrmError: a name stands for nothing, a file of the user's does not import, or an earlier result is missing.
+    An `RrmError` says that a name stands for nothing, a file of the user's does not import, or an earlier result is
+    missing.
     """
     kind, begin, switch = config.reward.kind, config.random_steps, config.first_session
     agent = build_agent(config, streams)
@@ -124,11 +120,7 @@ def _demonstrations(config: RunConfig, results: Results) -> Demonstrations:
 
 
 def build_agent(config: RunConfig, streams: Streams) -> Agent:
-    """The agent, untrained.
-
-    Raises:
-        ConfigError: this processor has no products of the precision asked for.
-    """
+    """The agent, untrained."""
     agent: Agent = lookup(AGENTS, "agent", config.agent.kind)(
         config.agent, config.spec().spaces, streams, precision=config.precision
     )
@@ -146,11 +138,7 @@ def build_reward(config: RunConfig, streams: Streams) -> RewardFunction:
 
 
 def build_prior(config: RunConfig, streams: Streams, results: Results) -> PriorSource | None:
-    """The prior with its scale; None where the reward has none.
-
-    Raises:
-        RrmError: the prior is unknown, does not import, or what trains it has not left it behind.
-    """
+    """The prior with its scale; None where the reward has none."""
     name, task = config.reward.prior, config.spec()
     if name is None:
         return None
@@ -163,11 +151,7 @@ def build_prior(config: RunConfig, streams: Streams, results: Results) -> PriorS
 
 
 def result_of(results: Results, run: str | None, name: str) -> Path:
-    """The file `name` that an earlier run has left behind.
-
-    Raises:
-        MissingResultError: the configuration names no such run, or nobody said where it is.
-    """
+    """The file `name` that an earlier run has left behind; a `MissingResultError` where nobody said where it is."""
     if run is None or run not in results:
         raise MissingResultError(
             f"{name} of the run {run} is needed first; `rrmctl run NAME` plans and makes what an experiment needs"

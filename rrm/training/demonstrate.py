@@ -23,15 +23,7 @@ Policy = Callable[[Floats], Floats]
 
 
 def expert_policy(config: RunConfig, model: Path) -> Policy:
-    """The deterministic policy of a finished run.
-
-    Args:
-        config: the run's.
-        model: the networks it left.
-
-    Raises:
-        MissingResultError: the networks are missing or damaged.
-    """
+    """The deterministic policy of a finished run, from the networks it left in the file `model`."""
     agent = build_agent(config, Streams(config.seed))
     networks = read_networks(model, "the expert's networks")
     if "agent" not in networks:
@@ -51,20 +43,14 @@ def demonstrate(
     least_success: float = 0.0,
     stopped: Callable[[int, float], bool] = lambda _step, _rate: False,
 ) -> Demonstrations | None:
-    """Play episodes of a task and record them.
+    """Play episodes of a task and record them; None where it was stopped.
 
     Args:
         seed: the stream `demonstrations` of it draws the instances.
         source: what to say of the policy in the provenance.
         horizon: steps of an episode where shorter than the task's own.
-        least_success: share of the episodes that must succeed, where the task has that notion.
+        least_success: share of the episodes that must succeed (else `DemosError`), where the task has that notion.
         stopped: asked after every episode with the steps so far and steps per second.
-
-    Returns:
-        None where it was stopped.
-
-    Raises:
-        DemosError: too few episodes succeed.
     """
     env, rng, began = make(task, horizon), Streams(seed).numpy("demonstrations"), time.monotonic()
     played: list[dict[str, Any]] = []

@@ -83,12 +83,7 @@ def fingerprint(config: JobConfig) -> dict[str, str]:
 def collect(config: DemosConfig, folder: Path, monitor: Monitor, results: Results) -> bool:
     """Have the expert play, and leave its episodes in `folder/demos.safetensors`. A matter of a minute: no checkpoint.
 
-    Returns:
-        True when they are there; False when it was told to stop, and will begin anew.
-
-    Raises:
-        DemosError: the expert succeeds too rarely.
-        MissingResultError: there is no expert.
+    True when they are there; False when it was told to stop, and will begin anew.
     """
     torch.set_num_threads(config.threads)
     policy = expert_policy(config.expert, result_of(results, config.expert.identity, "model.safetensors"))

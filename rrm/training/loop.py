@@ -57,10 +57,7 @@ class Trainer:
     def advance(self) -> None:
         """One environment step with all the learning that belongs to it.
 
-        Raises:
-            WaitingError: the reward needs what is not there yet; nothing of the step has happened.
-            NumericalError: an action, reward or prior is not finite.
-            PriorError: the prior failed.
+        A `WaitingError` says what the reward needs that is not there yet; nothing of the step has happened.
         """
         phase = next(phase for phase in reversed(self.phases) if phase.begin <= self.step)
         phase.source.ask(self.step)
@@ -107,11 +104,7 @@ class Trainer:
         return obs
 
     def evaluate(self) -> EvalRow:
-        """Evaluate the policy as it is and summarise the transitions since the last row. Training does not notice.
-
-        Raises:
-            NumericalError: a loss is not finite.
-        """
+        """Evaluate the policy as it is and summarise the transitions since the last row. Training does not notice."""
         config, step, sources = self.config, self.step, self.sources.values()
         result = evaluate(self.agent, self._eval_env, config.evaluation, seed=config.seed, step=step)
         rng = np.random.default_rng(evaluation_seed(config.seed, step, config.evaluation.episodes))
@@ -164,11 +157,7 @@ class Trainer:
         }  # fmt: skip
 
     def load(self, folder: Path, state: State) -> None:
-        """Continue from what `save` returned, on a fresh trainer of the same configuration.
-
-        Raises:
-            CheckpointError: the logs in `folder` do not hold what the state says.
-        """
+        """Continue from what `save` returned, on a fresh trainer of the same configuration."""
         self.experience.load(folder, state["experience"])
         self.env.load_state_dict(state["env"])
         self.agent.load_state_dict(state["agent"])

@@ -84,11 +84,7 @@ class JobConfig(ConfigSection, ABC):
 
     @abstractmethod
     def canonical(self) -> Self:
-        """The same job with everything that cannot change its results at its default, and user files digested.
-
-        Raises:
-            ConfigError: a file of the user's cannot be read.
-        """
+        """The same job with everything that cannot change its results at its default, and user files digested."""
 
     def spec(self) -> Task:
         """The task's description."""
@@ -159,11 +155,7 @@ class RunConfig(JobConfig):
             raise ConfigError(f"feedback.every: {most:,} sessions; a run has at most {_MOST_SESSIONS:,}")
 
     def check_margin(self, margin: int) -> None:
-        """Refuse segments that, with `margin` steps more on either side, are longer than an episode.
-
-        Raises:
-            ConfigError: they are.
-        """
+        """Refuse segments that, with `margin` steps more on either side, are longer than an episode."""
         assert self.feedback is not None  # the configuration has checked it
         segment, longer = self.feedback.segment, f" and {margin} more on either side" if margin else ""
         if segment + 2 * margin > self.episode_steps:

@@ -79,8 +79,7 @@ Span = tuple[int, int]  #: of bytes
 def make_prompt(task: Task, *, skeleton: bool) -> str:
     """The prompt for this task, with the skeleton of an answer at its end or without.
 
-    Raises:
-        ConfigError: there is none for the task, its package is missing, or its reward cannot be taken out.
+    A `ConfigError` where there is none, its package is missing, or its reward cannot be taken out.
     """
     source = source_without_reward(task).rstrip("\n")
     prompt = f"Here is a {_TASKS[task.name][1]} The environment code is:\n\n{source}\n\n{_INSTRUCTION}\n"
