@@ -103,9 +103,9 @@ def test_actions() -> None:
 def test_actions_do_not_share_memory() -> None:
     """An action stays what it was when the next one is taken."""
     sac = Sac(SMALL, Spaces(5, 2), Streams(3))
-    first = sac.act(np.ones(5, np.float32), explore=False)
+    first = sac.act(Obs(np.ones(5, np.float32)), explore=False)
     kept = first.copy()
-    sac.act(-np.ones(5, np.float32), explore=False)
+    sac.act(Obs(-np.ones(5, np.float32)), explore=False)
     np.testing.assert_array_equal(kept, first)
 
 
@@ -148,7 +148,7 @@ def test_reset_critic() -> None:
 def train(sac: Sac, seeds: range) -> None:
     for seed in seeds:
         sac.update(make_batch(16, 5, 2, seed))
-        sac.act(np.full(5, seed, np.float32), explore=True)
+        sac.act(Obs(np.full(5, seed, np.float32)), explore=True)
 
 
 def assert_same(a: State, b: State) -> None:
@@ -198,7 +198,9 @@ def test_does_not_depend_on_alignment() -> None:
     """A batch that starts at an odd address gives the same update, to the last bit."""
     aligned, shifted = (Sac(SMALL, Spaces(5, 2), Streams(2)) for _ in range(2))
     batch = make_batch(16, 5, 2, 0)
-    moved = (torch.cat((torch.zeros(3), column.flatten()))[3:].view_as(column) for column in batch)
+    moved = (
+        torch.cat((torch.zeros(3), column.flatten()))[3:].view_as(column) for column in batch if column is not None
+    )
     aligned.update(batch)
     shifted.update(Batch(*moved))
     assert_same(aligned.state_dict(), shifted.state_dict())
@@ -244,7 +246,7 @@ def test_refuses_an_infinite_action() -> None:
     """An observation that is not finite is reported where it becomes an action."""
     sac = Sac(SMALL, Spaces(5, 2), Streams(0))
     with pytest.raises(NumericalError, match="not finite"):
-        sac.act(np.array([0, 0, np.nan, 0, 0], np.float32), explore=False)
+        sac.act(Obs(np.array([0, 0, np.nan, 0, 0], np.float32)), explore=False)
 
 
 @pytest.mark.slow
@@ -259,7 +261,7 @@ def test_solves_a_bandit() -> None:
         reward = -10 * (act[:, 0] - 0.8 * obs[:, 0]).square()
         sac.update(Batch(obs, act, torch.zeros(64), reward, obs, torch.ones(64)))
     for x in (-0.9, -0.3, 0.4, 0.8):
-        assert sac.act(np.array([x, 0.1, -0.1], np.float32), explore=False)[0] == pytest.approx(0.8 * x, abs=0.12)
+        assert sac.act(Obs(np.array([x, 0.1, -0.1], np.float32)), explore=False)[0] == pytest.approx(0.8 * x, abs=0.12)
 
 
 def test_the_density_of_any_action() -> None:
