@@ -8,9 +8,6 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, NamedTuple, Protocol
 
-import numpy as np
-import numpy.typing as npt
-
 from rrm.config import Needs
 
 if TYPE_CHECKING:
@@ -21,8 +18,8 @@ if TYPE_CHECKING:
     from rrm.types import Batch, Floats, Obs, Segments, State
 
 __all__ = [
-    "Agent", "Answer", "CriticAgent", "Feedback", "Needs", "Query", "RewardFunction", "RewardLearner",
-    "SegmentRef", "Stateful", "StochasticAgent", "Teacher", "TrueRewards",
+    "Agent", "Answer", "CriticAgent", "Feedback", "Needs", "Query", "RewardFunction", "RewardLearner", "SegmentRef",
+    "Stateful", "StochasticAgent", "Teacher",
 ]  # fmt: skip
 
 
@@ -98,10 +95,7 @@ class RewardFunction(Stateful, Protocol):
         """What an optimiser steps."""
 
     def penalty(self, rewards: Tensor, segments: Segments) -> Tensor:
-        """What a learner adds to the loss of a minibatch: a scalar, summed over members, averaged over the rest.
-
-        Args: rewards: what `members` said of `segments`.
-        """
+        """What is added to a minibatch's loss, given what `members` said: summed over members, else averaged."""
 
 
 class RewardLearner(Stateful, Protocol):
@@ -177,10 +171,3 @@ class Teacher(Stateful, Protocol):
 
     def observe_return(self, true_return: float, length: int) -> None:
         """Told of each finished training episode, for thresholds that follow the agent's level."""
-
-
-class TrueRewards(Protocol):
-    """The view of a teacher that knows the true reward."""
-
-    def true_rewards(self, starts: npt.NDArray[np.int64], length: int) -> Floats:
-        """True reward of the `length` steps from each of the rows `starts` [...] on, float32 [..., length]."""

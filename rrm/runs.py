@@ -22,7 +22,7 @@ from rrm.interfaces import Agent, RewardFunction
 from rrm.priors.values import PriorSource
 from rrm.seeding import Streams
 from rrm.training.build import build_agent, build_prior, build_reward
-from rrm.training.evaluate import evaluate
+from rrm.training.episodes import evaluate
 from rrm.training.jobs import Monitor
 from rrm.training.jobs import train as train_job
 from rrm.training.run_config import RunConfig
@@ -40,14 +40,13 @@ def train(
 ) -> list[EvalRow]:
     """Train a run to its end, or go on with one that was interrupted: it ends with the same numbers.
 
+    Returns the evaluations, oldest first.
+
     Args:
         config: of the run.
         folder: where checkpoints and, in the end, networks are kept; made where it is missing, of this run alone.
         results: folders of the runs that this one starts from, by identity (`config.requires`).
         on_row: told of every evaluation as it comes. Ctrl-C loses what was trained since the last checkpoint.
-
-    Returns:
-        The evaluations, oldest first.
 
     Raises:
         ConfigError: the folder is another run's.

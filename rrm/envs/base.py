@@ -83,10 +83,7 @@ class TaskEnv(gymnasium.Env[Floats, Floats]):
         return obs, {}
 
     def step(self, action: Floats) -> tuple[Floats, float, bool, bool, dict[str, Any]]:
-        """One step; an action beyond [-1, 1] counts as the nearest one inside.
-
-        A `NumericalError` says that the action is not finite, or that the simulation diverged.
-        """
+        """One step; an action beyond [-1, 1] counts as the nearest inside. `NumericalError`: not finite or diverged."""
         if self._steps is None or self._steps >= self.horizon:
             raise ResetNeeded("the episode has not begun or is over; call reset() before step()")
         act = np.asarray(action, dtype=np.float64)

@@ -39,12 +39,7 @@ class Adversarial(RewardSource):
     """Demonstrations, discriminator, and what they leave behind: a prior, or the norms of g's gradients.
 
     Args:
-        config: of the discriminator and its schedule.
-        demos: of the expert.
-        replay: of the policy.
-        discount: of the agent.
         streams: `imitation-init` draws weights, `imitation` the minibatches.
-        precision: of products between hidden layers.
         about: what to say of the prior that is left behind; None where g is trained further with preferences, and the
             norms of its gradients are what is left.
     """

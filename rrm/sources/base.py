@@ -85,9 +85,3 @@ class Phase:
     random: bool = False  #: actions are uniformly random, and nothing is updated
     reset_critic: bool = False
     first_updates: int = 0  #: at the first step
-
-    def updates(self, step: int, every: int) -> int:
-        """How many updates are due at a step of this phase, one `every` so many steps."""
-        if step == self.begin:
-            return self.first_updates
-        return int(not self.random and step % every == 0)

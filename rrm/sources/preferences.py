@@ -82,13 +82,11 @@ class PreferenceReward(RewardSource):
         one = torch.from_numpy(step.obs)[None], torch.from_numpy(step.act)[None], torch.tensor([step.prior])
         return float(self.learner.reward.predict(*one))
 
-    def due(self, step: int) -> bool:
-        """True before the steps `first + i * every`, while there is budget."""
-        since = step - self._first
-        return since >= 0 and since % self._config.every == 0 and self.queries < self._config.budget
-
     def ask(self, step: int) -> None:
-        if not self.due(step) or self.journal.asked_at == step:
+        since = step - self._first
+        if since < 0 or since % self._config.every or self.queries >= self._config.budget:
+            return
+        if self.journal.asked_at == step:
             return
         count = self._config.session_size(step, self._steps, self.queries)
         pairs = select(
@@ -144,10 +142,10 @@ class PreferenceReward(RewardSource):
         """`label_accuracy`: agreement with the labels during the last epoch of the last training, NaN before;
         `true_accuracy`: with the true reward, on fresh pairs; and the learner's own.
         """
-        accuracy = {"label_accuracy": self._label_accuracy, "true_accuracy": self.true_accuracy(rng)}
+        accuracy = {"label_accuracy": self._label_accuracy, "true_accuracy": self._true_accuracy(rng)}
         return accuracy | self.learner.metrics()
 
-    def true_accuracy(self, rng: np.random.Generator) -> float:
+    def _true_accuracy(self, rng: np.random.Generator) -> float:
         """Agreement of the reward with the true one on 256 fresh uniform pairs, ties of the true return left out."""
         length = self._config.segment
         episodes = self._experience.episodes[-self._config.window :]
@@ -163,9 +161,7 @@ class PreferenceReward(RewardSource):
     def weights(self) -> State:
         return {"reward": self.learner.reward.state_dict()}
 
-    def legacy(self) -> State:
-        """The reward as it was learned."""
-        return self.weights()
+    legacy = weights  #: the reward as it was learned
 
     def state_dict(self) -> State:
         return {

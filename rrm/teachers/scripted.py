@@ -16,11 +16,11 @@ import numpy as np
 import numpy.typing as npt
 
 from rrm.buffers.pairs import EQUAL, SKIPPED, Preference
-from rrm.interfaces import Answer, Query, TrueRewards
+from rrm.interfaces import Answer, Query
 from rrm.types import Floats
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
     from rrm.config import TeacherConfig
     from rrm.types import State
@@ -31,10 +31,16 @@ _WINDOW = 10  # episodes
 class ScriptedTeacher:
     """Answers at once, from the true rewards of both segments."""
 
-    def __init__(self, config: TeacherConfig, rng: np.random.Generator, view: TrueRewards) -> None:
+    def __init__(
+        self,
+        config: TeacherConfig,
+        rng: np.random.Generator,
+        true_rewards: Callable[[npt.NDArray[np.int64], int], Floats],
+    ) -> None:
+        """Args: true_rewards: of so many steps from each of some rows on; see `Experience.true_rewards`."""
         self.config = config
         self._rng = rng
-        self._view = view
+        self._true_rewards = true_rewards
         self._per_step: deque[float] = deque(maxlen=_WINDOW)  # mean true reward of the newest episodes
         self._given: list[Answer] = []
 
@@ -42,7 +48,7 @@ class ScriptedTeacher:
         if not queries:
             return
         starts = np.array([(query.first.start, query.second.start) for query in queries], np.int64)
-        rewards = self._view.true_rewards(starts, queries[0].first.length)
+        rewards = self._true_rewards(starts, queries[0].first.length)
         preferences = self.prefer(rewards[:, 0], rewards[:, 1]).tolist()
         self._given += [Answer(query.id, value) for query, value in zip(queries, preferences, strict=True)]
 

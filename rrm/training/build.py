@@ -28,7 +28,7 @@ from rrm.seeding import Streams
 from rrm.sources.adversarial import Adversarial
 from rrm.sources.base import Phase, RewardSource
 from rrm.sources.entropy import StateEntropy
-from rrm.sources.known import PriorAlone, TrueReward
+from rrm.sources.known import Known
 from rrm.sources.preferences import PreferenceReward
 from rrm.teachers.scripted import ScriptedTeacher
 from rrm.training.run_config import RunConfig
@@ -70,7 +70,7 @@ def assemble(config: RunConfig, streams: Streams, results: Results) -> Parts:
         assert config.feedback is not None  # the configuration has checked both
         assert config.teacher is not None
         config.check_margin(learner.needs.margin)
-        teacher = ScriptedTeacher(config.teacher, streams.numpy("teacher"), experience)
+        teacher = ScriptedTeacher(config.teacher, streams.numpy("teacher"), experience.true_rewards)
         return PreferenceReward(
             config.feedback,
             first=switch, steps=config.steps, capacity=config.reward.capacity, experience=experience, replay=replay,
@@ -79,7 +79,7 @@ def assemble(config: RunConfig, streams: Streams, results: Results) -> Parts:
 
     source: RewardSource
     if kind.known:
-        source = (PriorAlone if kind is PRIOR_ALONE else TrueReward)(replay)
+        source = Known(replay, "prior" if kind is PRIOR_ALONE else "true_reward")
         phases = [Phase(begin=begin, source=source)]
     elif kind.demonstrated:
         source = Adversarial(

@@ -20,7 +20,7 @@ from rrm.errors import NumericalError, PriorError, WaitingError
 from rrm.files import make_folder, write_atomically
 from rrm.registry import lookup
 from rrm.training.build import DEMOS, NO_RESULTS, Assembled, Results, assemble, result_of
-from rrm.training.demonstrate import demonstrate, expert_policy
+from rrm.training.episodes import demonstrate, expert_policy
 from rrm.training.kinds import JOBS, DemosConfig
 from rrm.training.loop import Trainer
 from rrm.training.run_config import JobConfig, RunConfig
@@ -55,11 +55,7 @@ class Monitor(Protocol):
 
 
 def perform(config: JobConfig, folder: Path, monitor: Monitor, results: Results = NO_RESULTS) -> bool:
-    """Do the job in `folder`, or go on with it; see `train` and `collect`.
-
-    Args:
-        results: folders of the runs that this one requires, by identity.
-    """
+    """Do the job in `folder`, or go on with it; see `train` and `collect`."""
     does = lookup({config.kind: JOBS[config.kind].perform}, "kind of job", config.kind)
     finished: bool = does(config, folder, monitor, results)
     return finished
@@ -122,8 +118,7 @@ def train(
     written has no influence on the numbers. A finished run leaves its networks in `folder/model.safetensors` and no
     checkpoint. `assembled` makes the run's parts, for those who try one of their own.
 
-    Returns:
-        True when the run is finished; False when it was told to stop and can be continued.
+    Returns True when the run is finished; False when it was told to stop and can be continued.
 
     Raises:
         WaitingError: it cannot go on before something has come from outside; it is checkpointed.
@@ -159,7 +154,8 @@ def train(
             if trainer.step % config.evaluation.every == 0 or trainer.step == config.steps:
                 monitor.row(trainer.evaluate())
                 with monitor.writing():
-                    trainer.publish(folder)
+                    for source in trainer.sources.values():
+                        source.publish(folder)
                 save()
             now = time.monotonic()
             if now - beat_at >= _BEAT_S:

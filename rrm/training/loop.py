@@ -19,9 +19,9 @@ from rrm.nets.precision import check_precision
 from rrm.seeding import Streams, evaluation_seed
 from rrm.sources.base import RewardSource
 from rrm.training.build import NO_RESULTS, Assembled, Results, assemble
-from rrm.training.evaluate import evaluate
+from rrm.training.episodes import evaluate
 from rrm.training.run_config import RunConfig
-from rrm.types import EvalRow, Floats, Obs, State, Transition
+from rrm.types import EvalRow, Obs, State, Transition
 
 _NAN = float("nan")
 
@@ -30,10 +30,7 @@ class Trainer:
     """All the state of one run. `advance` takes one environment step; rows are asked for with `evaluate`."""
 
     def __init__(self, config: RunConfig, results: Results = NO_RESULTS, assembled: Assembled = assemble) -> None:
-        """Args:
-        results: folders of the runs that this one requires, by identity.
-        assembled: makes agent, prior and phases.
-        """
+        """Args: assembled: makes agent, prior and phases."""
         check_precision(config.precision)
         self.config = config
         self.step = 0
@@ -71,9 +68,17 @@ class Trainer:
         phase.source.attend(self.step, self.agent)
         if self.step == phase.begin and phase.reset_critic:
             self.agent.reset_critic()
-        for _ in range(phase.updates(self.step, self.config.agent.update_every)):
+        due = int(not phase.random and self.step % self.config.agent.update_every == 0)
+        for _ in range(phase.first_updates if self.step == phase.begin else due):
             self.agent.update(phase.source.batch(self.agent))
-        step = self._take(act)
+        next_obs, true_reward, terminated, truncated, info = self.env.step(act)
+        if not np.isfinite(true_reward):
+            raise NumericalError(f"step {self.step}: the true reward is {true_reward}")
+        obs, self._obs = self._obs, next_obs
+        raw, prior = (0.0, 0.0) if self.prior is None else self.prior(obs.state, act, info, self.step)
+        step = Transition(
+            obs.state, act, next_obs.state, prior, raw, true_reward, terminated, truncated, obs.newest, next_obs.newest
+        )
         reward = phase.source.reward(step)
         if not np.isfinite(reward):
             raise NumericalError(f"step {self.step}: the reward is {reward}; the prior says {step.prior}")
@@ -86,16 +91,6 @@ class Trainer:
             self._return, self._length = 0.0, 0
             self._obs = self._reset()
         self.step += 1
-
-    def _take(self, act: Floats) -> Transition:
-        next_obs, true_reward, terminated, truncated, info = self.env.step(act)
-        if not np.isfinite(true_reward):
-            raise NumericalError(f"step {self.step}: the true reward is {true_reward}")
-        obs, self._obs = self._obs, next_obs
-        raw, prior = (0.0, 0.0) if self.prior is None else self.prior(obs.state, act, info, self.step)
-        return Transition(
-            obs.state, act, next_obs.state, prior, raw, true_reward, terminated, truncated, obs.newest, next_obs.newest
-        )
 
     def _reset(self, seed: int | None = None) -> Obs:
         obs = self.env.reset(seed=seed)
@@ -189,11 +184,6 @@ class Trainer:
         for source in self.sources.values():
             left |= source.legacy()
         return left
-
-    def publish(self, folder: Path) -> None:
-        """Replace what is to be looked at beside the curve."""
-        for source in self.sources.values():
-            source.publish(folder)
 
     def close(self) -> None:
         """Free the simulators."""

@@ -31,7 +31,9 @@ def namespace() -> dict[str, Any]:
 def checked_value(value: Any) -> Any:
     """The value of any expression, unless code must not go on with it: a number, a small array, a flat row, a step.
 
-    A row of more than numbers and arrays could nest without end.
+    Raises:
+        ValueError: an array is too large.
+        TypeError: it is something else, or a row holds more than numbers and arrays and so could nest without end.
     """
     if isinstance(value, float):
         return value

@@ -73,8 +73,6 @@ comprehensions, classes or texts.
 
 _WORD = "reward"
 
-Span = tuple[int, int]  #: of bytes
-
 
 def make_prompt(task: Task, *, skeleton: bool) -> str:
     """The prompt for this task, with the skeleton of an answer at its end or without.
@@ -131,7 +129,7 @@ def without_reward(source: str, where: str) -> str:
     return text
 
 
-def _spans(source: str, data: bytes) -> Iterator[Span]:
+def _spans(source: str, data: bytes) -> Iterator[tuple[int, int]]:
     """What goes: statements with their whole lines, parameters with their comma, comments, alone with their line."""
     starts = [0, *accumulate(map(len, data.splitlines(keepends=True)))]  # of lines; the parser counts columns in bytes
     for node in _doomed(ast.parse(source).body):
