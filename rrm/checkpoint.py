@@ -62,8 +62,7 @@ def decode(data: bytes) -> State:
 def read_networks(path: Path, what: str) -> State:
     """The state that a finished run left in a file; `what` that is to the reader, for messages.
 
-    Raises:
-        MissingResultError: there is none, or it is damaged; the message says how to make it again.
+    A `MissingResultError` says that there is none, or that it is damaged, and how to make it again.
     """
     try:
         return decode(path.read_bytes())

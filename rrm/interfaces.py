@@ -6,24 +6,20 @@ continues bit for bit where it was saved.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
-
-import numpy as np
-import numpy.typing as npt
+from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 from rrm.config import Needs
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    import gymnasium
     from torch import Tensor
 
-    from rrm.types import Batch, Floats, Obs, Pixels, Segments, State
+    from rrm.types import Batch, Floats, Obs, Segments, State
 
 __all__ = [
-    "Agent", "Answer", "CriticAgent", "Env", "Feedback", "Needs", "Query", "RewardFunction", "RewardLearner",
-    "SegmentRef", "Stateful", "StochasticAgent", "Teacher", "TrueRewards",
+    "Agent", "Answer", "CriticAgent", "Feedback", "Needs", "Query", "RewardFunction", "RewardLearner", "SegmentRef",
+    "Stateful", "StochasticAgent", "Teacher",
 ]  # fmt: skip
 
 
@@ -35,36 +31,6 @@ class Stateful(Protocol):
 
     def load_state_dict(self, state: State) -> None:
         """Continue where `state_dict` was taken."""
-
-
-class Env(Protocol):
-    """A gymnasium environment whose simulator can be saved in mid-episode.
-
-    Observations are float32 [O] with every feature of its `Task`; actions lie in [-1, 1]; `reward` is the true reward;
-    `info["success"]` is 0.0 or 1.0 for this step on tasks that have the notion. A time limit is `truncated`.
-    """
-
-    observation_space: gymnasium.spaces.Box[np.float32]
-    action_space: gymnasium.spaces.Box[np.float32]
-    horizon: int  #: steps of an episode
-
-    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Floats, dict[str, Any]]:
-        """Start an episode; a seed restarts the stream from which task instances are drawn."""
-
-    def step(self, action: Floats) -> tuple[Floats, float, bool, bool, dict[str, Any]]:
-        """One environment step: observation, true reward, terminated, truncated, info."""
-
-    def frame(self) -> Pixels:
-        """The camera's picture of the simulator as it is, of the task's `FrameSpace`; only of tasks that have one."""
-
-    def state_dict(self) -> State:
-        """Simulator, task instance, step counter and random stream, at any moment between two steps."""
-
-    def load_state_dict(self, state: State) -> None:
-        """Continue from `state_dict`, bit for bit, in any process of the same machine type."""
-
-    def close(self) -> None:
-        """Free the simulator."""
 
 
 class Agent(Stateful, Protocol):
@@ -85,11 +51,7 @@ class Agent(Stateful, Protocol):
         """Fresh critic, target and critic optimiser; actor and temperature stay (PEBBLE's first session)."""
 
     def figures(self) -> Mapping[str, float]:
-        """What the last update has to say, for the curve; NaN before the first.
-
-        Raises:
-            NumericalError: the last update made something that is not finite.
-        """
+        """What the last update has to say, for the curve; NaN before the first. `NumericalError` if not finite."""
 
     def weights(self) -> State:
         """Tensors that training changes, and that must stay finite."""
@@ -133,10 +95,7 @@ class RewardFunction(Stateful, Protocol):
         """What an optimiser steps."""
 
     def penalty(self, rewards: Tensor, segments: Segments) -> Tensor:
-        """What a learner adds to the loss of a minibatch: a scalar, summed over members, averaged over the rest.
-
-        Args: rewards: what `members` said of `segments`.
-        """
+        """What is added to a minibatch's loss, given what `members` said: summed over members, else averaged."""
 
 
 class RewardLearner(Stateful, Protocol):
@@ -212,10 +171,3 @@ class Teacher(Stateful, Protocol):
 
     def observe_return(self, true_return: float, length: int) -> None:
         """Told of each finished training episode, for thresholds that follow the agent's level."""
-
-
-class TrueRewards(Protocol):
-    """The view of a teacher that knows the true reward."""
-
-    def true_rewards(self, starts: npt.NDArray[np.int64], length: int) -> Floats:
-        """True reward of the `length` steps from each of the rows `starts` [...] on, float32 [..., length]."""

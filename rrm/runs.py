@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import json
 from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
@@ -15,15 +14,17 @@ import torch
 
 from rrm.checkpoint import read_networks
 from rrm.config import EvaluationConfig
+from rrm.envs.base import TaskEnv
 from rrm.envs.observer import Observer
 from rrm.errors import ConfigError
 from rrm.files import make_folder, place, read_bounded, write_atomically
-from rrm.interfaces import Agent, Env, RewardFunction
+from rrm.interfaces import Agent, RewardFunction
+from rrm.priors.values import PriorSource
 from rrm.seeding import Streams
 from rrm.training.build import build_agent, build_prior, build_reward
-from rrm.training.evaluate import evaluate
+from rrm.training.episodes import evaluate
+from rrm.training.jobs import Monitor
 from rrm.training.jobs import train as train_job
-from rrm.training.prior_values import PriorSource
 from rrm.training.run_config import RunConfig
 from rrm.types import EvalRow, Evaluation, Floats, Obs, State
 
@@ -39,14 +40,13 @@ def train(
 ) -> list[EvalRow]:
     """Train a run to its end, or go on with one that was interrupted: it ends with the same numbers.
 
+    Returns the evaluations, oldest first.
+
     Args:
         config: of the run.
         folder: where checkpoints and, in the end, networks are kept; made where it is missing, of this run alone.
         results: folders of the runs that this one starts from, by identity (`config.requires`).
         on_row: told of every evaluation as it comes. Ctrl-C loses what was trained since the last checkpoint.
-
-    Returns:
-        The evaluations, oldest first.
 
     Raises:
         ConfigError: the folder is another run's.
@@ -131,8 +131,8 @@ class LearnedReward(gymnasium.Wrapper[Floats, Floats, Floats, Floats]):
     `info["true_reward"]` is the environment's own.
     """
 
-    def __init__(self, env: Env, run: Finished) -> None:
-        super().__init__(env)  # type: ignore[arg-type]  # our environments are gymnasium's
+    def __init__(self, env: TaskEnv, run: Finished) -> None:
+        super().__init__(env)
         self._reward, self._prior = run.reward, run.prior
         self._obs: Floats = np.zeros(0, np.float32)
 
@@ -154,8 +154,8 @@ class LearnedReward(gymnasium.Wrapper[Floats, Floats, Floats, Floats]):
         return obs, reward, terminated, truncated, info | {"true_reward": float(true_reward)}
 
 
-class _Listener:
-    """A monitor that keeps the evaluations, and lets everything else pass."""
+class _Listener(Monitor):
+    """A monitor that keeps the evaluations."""
 
     def __init__(self, on_row: Callable[[EvalRow], None]) -> None:
         self._on_row = on_row
@@ -171,12 +171,6 @@ class _Listener:
     def beat(self, step: int, steps_per_s: float) -> None: ...
 
     def note(self, message: str) -> None: ...
-
-    def should_stop(self) -> bool:
-        return False
-
-    def writing(self) -> contextlib.AbstractContextManager[None]:
-        return contextlib.nullcontext()
 
 
 def _read(path: Path) -> RunConfig:

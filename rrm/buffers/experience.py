@@ -5,11 +5,13 @@ so that the successor of a row is always the next row and a segment is always a 
 evicted: the paper's buffers hold as many transitions as its runs have steps.
 
 Columns: `obs`, `act`, the prior as stored at collection (scaled, and raw), the true reward (read by teachers and
-evaluation only), and the reward the agent is trained on, which a feedback session rewrites.
+evaluation only), and the reward the agent is trained on, which a feedback session rewrites. In a checkpoint's folder
+they are append-only logs.
 """
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
@@ -19,8 +21,8 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
-from rrm.buffers.columns import Columns
 from rrm.buffers.frames import Frames
+from rrm.checkpoint import KEPT, AppendLog
 from rrm.types import Batch, Segments, Transition
 
 if TYPE_CHECKING:
@@ -29,6 +31,7 @@ if TYPE_CHECKING:
 
 #: What a row is; _END is the observation behind an episode's last step.
 _STEP, _TERMINATED, _TRUNCATED, _END = range(4)
+_LOGGED = ("obs", "act", "prior", "raw_prior", "true_reward", "kind")
 _RELABEL_ROWS = 1 << 11  # keeps the activations of the reward ensemble within the caches' reach
 
 
@@ -39,17 +42,39 @@ class Episode(NamedTuple):
     length: int
 
 
-class Experience(Columns):
+class Experience:
     """Transitions of one run; rows are appended, only the learned reward changes."""
 
     def __init__(self, steps: int, horizon: int, spaces: Spaces) -> None:
         """Args: steps: transitions to make room for; horizon: of an episode that does not end before its time."""
-        super().__init__(steps + steps // horizon + 2, spaces.obs, spaces.act)
+        rows = steps + steps // horizon + 2  # memory is touched only as they come
+        self.obs = torch.empty(rows, spaces.obs)
+        self.act = torch.empty(rows, spaces.act)
+        self.prior = torch.empty(rows)
+        self.raw_prior = torch.empty(rows)
+        self.true_reward = torch.empty(rows)
+        self.reward = torch.empty(rows)
+        self.kind = torch.empty(rows, dtype=torch.uint8)
+        self.rows = 0  #: that are filled
+        self.generation = 0  #: of the reward column: one more whenever all of it is rewritten
+        self._saved_rows = 0
+        self._saved_generations = deque([0], maxlen=KEPT)  # of the kept checkpoints
+        self._logs: tuple[AppendLog, AppendLog] | None = None
         self.frames = None if spaces.frames is None else Frames(spaces.frames)
         self._row_of = torch.empty(steps, dtype=torch.int64)
         self.transitions = 0
         self.episodes: list[Episode] = []
         self._episode_start = 0
+
+    def reserve(self, rows: int) -> None:
+        """Make room for as many rows, with half as many again to come."""
+        if rows <= len(self.kind):
+            return
+        for name in (*_LOGGED, "reward"):
+            old: Tensor = getattr(self, name)
+            new = torch.empty(rows + rows // 2, *old.shape[1:], dtype=old.dtype)
+            new[: len(old)] = old
+            setattr(self, name, new)
 
     def append(self, step: Transition, reward: float) -> None:
         """One environment step, and the reward that the agent is given for it."""
@@ -73,14 +98,11 @@ class Experience(Columns):
         self.transitions += 1
         self.rows = row + 1
         if step.terminated or step.truncated:
-            self._end_episode(row + 1)
-
-    def _end_episode(self, row: int) -> None:
-        self.kind[row] = _END
-        for column in (self.act, self.prior, self.raw_prior, self.reward, self.true_reward):
-            column[row] = 0.0
-        self.episodes.append(Episode(self._episode_start, row - self._episode_start))
-        self._episode_start = self.rows = row + 1
+            self.kind[row + 1] = _END
+            for column in (self.act, self.prior, self.raw_prior, self.reward, self.true_reward):
+                column[row + 1] = 0.0
+            self.episodes.append(Episode(self._episode_start, row + 1 - self._episode_start))
+            self._episode_start = self.rows = row + 2
 
     def batch(self, numbers: Tensor, *, time_limits_end: bool = False) -> Batch:
         """The transitions of these numbers [B], counted from 0 in the order in which they were lived.
@@ -111,10 +133,6 @@ class Experience(Columns):
             backwards.append(torch.where(self.kind[before] == _END, backwards[-1], before))
         return self.frames[torch.stack(backwards[::-1], dim=1)]
 
-    def save(self, folder: Path) -> State:
-        state = super().save(folder)
-        return state if self.frames is None else state | {"frames": self.frames.save(folder)}
-
     def since(self, transition: int) -> Tensor:
         """Rows of the transitions from number `transition` on."""
         return self._row_of[transition : self.transitions]
@@ -139,14 +157,53 @@ class Experience(Columns):
             self.reward[part] = predict(self.obs[part], self.act[part], self.prior[part])
         self.generation += 1
 
+    def save(self, folder: Path) -> State:
+        """Append what is new to the logs in `folder`; the state returned says how long they are now.
+
+        Rows are never written twice. The reward column is written anew only after a relabelling, whose own cost is
+        proportional to its length anyway.
+        """
+        records, rewards = self._logs or self._open(folder)
+        if self.generation != self._saved_generations[-1]:
+            rewards = AppendLog(_reward_path(folder, self.generation))
+        rows = np.empty(self.rows - self._saved_rows, self._dtype())
+        for name in _LOGGED:
+            rows[name] = getattr(self, name)[self._saved_rows : self.rows].numpy()
+        records.append(rows.tobytes())
+        rewards.append(self.reward.numpy()[rewards.size // 4 : self.rows].tobytes())
+        self._logs = (records, rewards)
+        self._saved_rows = self.rows
+        self._saved_generations.append(self.generation)
+        state = {
+            "rows": self.rows,
+            "generation": self.generation,
+            "transitions": [records.size, records.crc],
+            "rewards": [rewards.size, rewards.crc],
+            "next_obs": self.obs[self.rows].clone(),
+        }
+        return state if self.frames is None else state | {"frames": self.frames.save(folder)}
+
     def load(self, folder: Path, state: State) -> None:
-        super().load(folder, state)
+        """Continue from what `save` returned, on an empty experience; a `CheckpointError` where the logs lack it."""
+        self.generation = int(state["generation"])
+        records, rewards = self._logs = self._open(folder)
+        self.reserve(int(state["rows"]) + 1)
+        (size, crc), (reward_size, reward_crc) = state["transitions"], state["rewards"]
+        dtype, rewarded = self._dtype(), 0
+        for block in records.restore(size, crc, dtype.itemsize):
+            rows = np.frombuffer(block, dtype)
+            begin, self.rows = self.rows, self.rows + len(rows)
+            for name in _LOGGED:
+                getattr(self, name).numpy()[begin : self.rows] = rows[name]
+        for block in rewards.restore(reward_size, reward_crc, self.reward.itemsize):
+            values = np.frombuffer(block, np.float32)
+            self.reward.numpy()[rewarded : rewarded + len(values)] = values
+            rewarded += len(values)
+        self._saved_rows = self.rows
+        self._saved_generations = deque([self.generation], maxlen=KEPT)
+        self.obs[self.rows] = state["next_obs"]
         if self.frames is not None:
             self.frames.load(folder, state["frames"])
-        self._find_episodes()
-
-    def _find_episodes(self) -> None:
-        """Everything that follows from the kinds of the rows."""
         kinds = self.kind[: self.rows].numpy()
         steps, ends = np.flatnonzero(kinds != _END), np.flatnonzero(kinds == _END)
         self.transitions = len(steps)
@@ -154,3 +211,23 @@ class Experience(Columns):
         starts = np.concatenate([[0], ends[:-1] + 1]) if len(ends) else ends
         self.episodes = [Episode(int(s), int(e - s)) for s, e in zip(starts, ends, strict=True)]
         self._episode_start = int(ends[-1]) + 1 if len(ends) else 0
+
+    def discard(self, folder: Path) -> None:
+        """Remove reward columns of generations that no kept checkpoint refers to, once the newest is committed."""
+        kept = {_reward_path(folder, generation) for generation in self._saved_generations}
+        for path in folder.glob("reward-*.bin"):
+            if path not in kept:
+                path.unlink()
+
+    def _open(self, folder: Path) -> tuple[AppendLog, AppendLog]:
+        return AppendLog(folder / "transitions.bin"), AppendLog(_reward_path(folder, self.generation))
+
+    def _dtype(self) -> np.dtype[np.void]:
+        return np.dtype([
+            ("obs", "<f4", (self.obs.shape[1],)), ("act", "<f4", (self.act.shape[1],)), ("prior", "<f4"),
+            ("raw_prior", "<f4"), ("true_reward", "<f4"), ("kind", "u1"),
+        ])  # fmt: skip
+
+
+def _reward_path(folder: Path, generation: int) -> Path:
+    return folder / f"reward-{generation:06d}.bin"

@@ -50,11 +50,7 @@ class Frames:
         return {"size": self._log.size, "crc": self._log.crc}
 
     def load(self, folder: Path, state: State) -> None:
-        """Continue from what `save` returned, on an empty store.
-
-        Raises:
-            CheckpointError: the log does not hold what the state says.
-        """
+        """Continue from what `save` returned, on an empty store."""
         self._log = AppendLog(folder / "frames.bin")
         for block in self._log.restore(int(state["size"]), int(state["crc"]), int(np.prod(self._shape))):
             for frame in np.frombuffer(block, np.uint8).reshape(-1, *self._shape):

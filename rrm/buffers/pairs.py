@@ -91,23 +91,16 @@ class StoredFeedback:
 
     @property
     def unlabelled(self) -> int:
-        """Pairs without a label."""
         return len(self._unlabelled)
 
     def pairs(self, index: Tensor) -> tuple[Segments, Segments, Tensor]:
-        """Both segments of the pairs at `index` [...] and the probability that the second is preferred, of that shape.
-
-        The probability is 0 or 1, or one half where the teacher called them equal.
-        """
         target = torch.from_numpy(self._preferences.labels)[index]
         return *self._segments(self._preferences, index), target
 
     def newest(self) -> Tensor:
-        """Positions of the newest labelled pairs, as many as a session asks for; fewer while there are fewer."""
         return torch.from_numpy(self._preferences.newest(self._batch))
 
     def unlabelled_pairs(self, index: Tensor) -> tuple[Segments, Segments]:
-        """Both segments of the pairs without a label at `index` [...]."""
         return self._segments(self._unlabelled, index)
 
     def _segments(self, ring: PairRing, index: Tensor) -> tuple[Segments, Segments]:

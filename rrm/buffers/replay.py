@@ -27,19 +27,13 @@ class Replay:
         return self._experience.transitions
 
     def sample(self, *, time_limits_end: bool = False) -> Batch:
-        """The transitions of an agent's update.
-
-        Args: time_limits_end: take a time limit for a termination in `continues`.
-        """
+        """The transitions of an agent's update; `time_limits_end` as in `Experience.batch`."""
         return self.draw(self._size, self._generator, time_limits_end=time_limits_end)
 
     def draw(
         self, count: int, generator: torch.Generator, *, newest: int | None = None, time_limits_end: bool = False
     ) -> Batch:
-        """`count` transitions.
-
-        Args: newest: of the last so many alone.
-        """
+        """`count` transitions, where `newest` is given of the last so many alone."""
         first = 0 if newest is None else max(0, self.transitions - newest)
         numbers = torch.randint(first, self.transitions, (count,), generator=generator)
         return self._experience.batch(numbers, time_limits_end=time_limits_end)

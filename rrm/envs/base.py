@@ -25,7 +25,10 @@ MUJOCO_BOUND = 1e10
 
 
 class TaskEnv(gymnasium.Env[Floats, Floats]):
-    """An environment that satisfies `rrm.interfaces.Env`; episodes end at the horizon, by truncation, never earlier.
+    """A gymnasium environment whose simulator can be saved in mid-episode.
+
+    Observations are float32 [O] with every feature of its `Task`; `reward` is the true reward; `info["success"]` is 0.0
+    or 1.0 for this step on tasks that have the notion. Episodes end at the horizon, by truncation, never earlier.
 
     Args:
         low, high: bounds of the observation, broadcast to `obs_dim`; actions lie in [-1, 1].
@@ -73,16 +76,14 @@ class TaskEnv(gymnasium.Env[Floats, Floats]):
         """Undo `_save`, in an environment that may never have been reset."""
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Floats, dict[str, Any]]:
+        """Start an episode; a seed restarts the stream from which task instances are drawn."""
         super().reset(seed=seed, options=options)
         obs = np.array(self._begin(), dtype=np.float32)
         self._steps = 0
         return obs, {}
 
     def step(self, action: Floats) -> tuple[Floats, float, bool, bool, dict[str, Any]]:
-        """One step; an action beyond [-1, 1] counts as the nearest one inside.
-
-        A `NumericalError` says that the action is not finite, or that the simulation diverged.
-        """
+        """One step; an action beyond [-1, 1] counts as the nearest inside. `NumericalError`: not finite or diverged."""
         if self._steps is None or self._steps >= self.horizon:
             raise ResetNeeded("the episode has not begun or is over; call reset() before step()")
         act = np.asarray(action, dtype=np.float64)
@@ -96,10 +97,11 @@ class TaskEnv(gymnasium.Env[Floats, Floats]):
         return np.array(obs, dtype=np.float32), float(reward), False, self._steps >= self.horizon, info
 
     def frame(self) -> Pixels:
-        """Raises: TypeError: an environment with a camera overrides this."""
+        """The camera's picture of the simulator as it is, of the task's `FrameSpace`; overridden where there is one."""
         raise TypeError(f"{type(self).__name__} has no camera")
 
     def state_dict(self) -> State:
+        """Simulator, task instance, step counter and random stream, at any moment between two steps."""
         return {
             "steps": self._steps,
             "rng": self.np_random.bit_generator.state,
@@ -107,6 +109,7 @@ class TaskEnv(gymnasium.Env[Floats, Floats]):
         }
 
     def load_state_dict(self, state: State) -> None:
+        """Continue from `state_dict`, bit for bit, in any process of the same machine type."""
         if state["simulator"] is not None:
             self._restore(state["simulator"])
         self._steps = state["steps"]

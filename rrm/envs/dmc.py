@@ -18,8 +18,7 @@ from rrm.envs.base import MUJOCO_BOUND, Doubles, TaskEnv
 from rrm.errors import ConfigError, NumericalError
 from rrm.types import State
 
-with warnings.catch_warnings():
-    warnings.simplefilter("ignore")  # without a display, its search for OpenGL warns; nothing is rendered here
+with warnings.catch_warnings(action="ignore"):  # without a display, its search for OpenGL warns; nothing is rendered
     from dm_control import suite
     from dm_control.rl.control import PhysicsError
 
@@ -54,9 +53,8 @@ class DmcEnv(TaskEnv):
         actions = self.sim.action_spec()
         self._middle = (actions.maximum + actions.minimum) / 2
         self._half = (actions.maximum - actions.minimum) / 2
-        with warnings.catch_warnings():
-            # The quadruped looks its sensors up by `np.in1d` the first time it is asked, and remembers them.
-            warnings.simplefilter("ignore", DeprecationWarning)
+        # The quadruped looks its sensors up by `np.in1d` the first time it is asked, and remembers them.
+        with warnings.catch_warnings(action="ignore", category=DeprecationWarning):
             obs_dim = sum(int(np.prod(spec.shape)) for spec in self.sim.observation_spec().values())
         sizes = {"obs_dim": obs_dim, "act_dim": actions.shape[0], "horizon": horizon}
         super().__init__(-MUJOCO_BOUND, MUJOCO_BOUND, **sizes, render_mode=render_mode)

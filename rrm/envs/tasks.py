@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     import numpy as np
     import numpy.typing as npt
 
-    from rrm.interfaces import Env
+    from rrm.envs.base import TaskEnv
     from rrm.types import Floats
 
 ScoreKind = Literal["success", "return"]
@@ -72,11 +72,7 @@ class Task:
         return (*self.features, "success") if self.score == "success" else tuple(self.features)
 
     def feature(self, name: str, obs: Floats) -> npt.NDArray[np.float64]:
-        """The numbers of a feature in an observation, a copy.
-
-        Raises:
-            KeyError: there is no such feature.
-        """
+        """The numbers of a feature in an observation, a copy; a `KeyError` where there is no such feature."""
         where = self.features[name]
         value = obs[where] if isinstance(where, slice) else where(obs)
         numbers: npt.NDArray[np.float64] = value.astype("float64")
@@ -124,33 +120,23 @@ TASKS: dict[str, Task] = {
 
 
 def task(name: str) -> Task:
-    """The task of this name.
-
-    Raises:
-        UnknownNameError: there is none; the message suggests the nearest.
-    """
+    """The task of this name; an `UnknownNameError`, which suggests the nearest, where there is none."""
     try:
         return TASKS[name]
     except KeyError:
         raise UnknownNameError("task", name, TASKS) from None
 
 
-def make(name: str, horizon: int | None = None) -> Env:
+def make(name: str, horizon: int | None = None) -> TaskEnv:
     """A fresh environment of the task, ready for `reset(seed=...)`; its simulator is imported now.
 
-    Args:
-        name: of the task.
-        horizon: steps of an episode where it is to be shorter than the task's own.
-
-    Raises:
-        UnknownNameError: there is no such task.
-        ConfigError: the horizon is below 1 or beyond the task's own.
+    `horizon`: steps of an episode where it is to be shorter than the task's own; a `ConfigError` beyond that.
     """
     spec = task(name)
     if horizon is not None and not 1 <= horizon <= spec.horizon:
         raise ConfigError(f"horizon is {horizon}; an episode of {name} has between 1 and {spec.horizon} steps")
     module, _, attribute = spec.entry_point.partition(":")
-    environment: Env = getattr(importlib.import_module(module), attribute)(
+    environment: TaskEnv = getattr(importlib.import_module(module), attribute)(
         **spec.kwargs, horizon=horizon or spec.horizon
     )
     return environment

@@ -64,11 +64,7 @@ class Demonstrations:
 
     @classmethod
     def load(cls, path: str | Path) -> Self:
-        """The demonstrations in a file.
-
-        Raises:
-            DemosError: there is none, it is not one of demonstrations, damaged, or its tensors do not fit together.
-        """
+        """The demonstrations in a file; a `DemosError` where it holds none, is damaged, or its tensors do not fit."""
         try:
             arrays, header = tensors.unpack(read_bounded(place(path), _LARGEST), _ENTRY)
         except (FileNotFoundError, NotADirectoryError, UnfitFileError, ValueError) as error:

@@ -38,7 +38,7 @@ class RewardNet:
             1, obs_dim + act_dim, config.hidden, config.layers, 1,
             init="torch", generator=generator, precision=precision,
         )  # fmt: skip
-        self._bounded = config.head == "tanh"
+        self.bounded = config.head == "tanh"
 
     def __call__(self, inputs: Tensor) -> Tensor:
         """Rewards [...] of states and actions side by side, [..., O + A]; differentiable in the weights."""
@@ -46,11 +46,7 @@ class RewardNet:
 
     def headed(self, raw: Tensor) -> Tensor:
         """The head on the network's outputs."""
-        return torch.tanh(raw) if self._bounded else raw
-
-    def backward_head(self, grad: Tensor, headed: Tensor) -> Tensor:
-        """The gradient in the network's outputs, given that in the rewards."""
-        return grad * (1 - headed.square()) if self._bounded else grad
+        return torch.tanh(raw) if self.bounded else raw
 
     @torch.no_grad()
     def predict(self, obs: Tensor, act: Tensor) -> Tensor:
@@ -111,7 +107,9 @@ class Discriminator:
         else:  # g alone, pulled to 1 on expert transitions and to 0 on the policy's (the paper's figure on fine-tuning)
             error = reward - is_expert
             delta, loss = error * (2 / count), error.square().mean()
-        g.backward_params(self.g.backward_head(delta, reward).view(1, 1, -1), tape)
+        if self.g.bounded:  # the gradient in the network's outputs, given that in the rewards
+            delta = delta * (1 - reward.square())
+        g.backward_params(delta.view(1, 1, -1), tape)
         self._adams[0].step()
         g.give_back(tape)
         if not torch.isfinite(loss):

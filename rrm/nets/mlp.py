@@ -174,7 +174,13 @@ class StackedMLP:
             weight, bias = self._params[2 * layer : 2 * layer + 2]
             with self._inner if layer else self._outer:
                 torch.bmm(h, weight, out=out)
-            h = self._activate(out, bias)
+            if self.activation == "leaky_relu":
+                h = nn.functional.leaky_relu_(out.add_(bias), LEAK)
+            elif out.device.type == "cpu":  # one pass over memory
+                torch.ops.aten._add_relu_.Tensor(out, bias)
+                h = out
+            else:
+                h = out.add_(bias).relu_()
         with self._outer:
             return torch.baddbmm(self._transposed[-1], self._transposed[-2], _t(h), out=tape.outputs)
 
@@ -211,15 +217,6 @@ class StackedMLP:
         else:
             torch.ops.aten.leaky_relu_backward.grad_input(delta, activated, LEAK, True, grad_input=delta)
         return delta
-
-    def _activate(self, product: Tensor, bias: Tensor) -> Tensor:
-        """Add the bias and apply the activation, in place; one pass over memory where there is one."""
-        if self.activation == "leaky_relu":
-            return nn.functional.leaky_relu_(product.add_(bias), LEAK)
-        if product.device.type == "cpu":
-            torch.ops.aten._add_relu_.Tensor(product, bias)
-            return product
-        return product.add_(bias).relu_()
 
 
 class _WrittenOut(torch.autograd.Function):

@@ -20,13 +20,7 @@ if TYPE_CHECKING:
 
 
 class ImitationPrior:
-    """g as it was kept by the run that trained it.
-
-    Args:
-        path: the run's networks.
-        task: it must have been trained on this one.
-        squash: `tanh` bounds the prior to (-1, 1).
-    """
+    """g as it was kept by the run that trained it, on the same task; `squash` bounds it to (-1, 1) with a tanh."""
 
     needs: tuple[tuple[str, ...], ...] = ((),)  #: of the features of the task
 

@@ -118,8 +118,7 @@ class PriorStep(Scene):
 def evaluate_prior(prior: Callable[[PriorStep], float], step: PriorStep, where: str) -> float:
     """The prior's value of this step; `where` says which, for messages, such as `prior "proxy" at step 17`.
 
-    Raises:
-        PriorError: it raised (the cause is chained), or returned something other than one finite number.
+    A `PriorError`, with its cause, where the prior raised, or returned something other than one finite number.
     """
     try:
         value: Any = prior(step)

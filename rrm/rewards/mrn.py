@@ -70,10 +70,7 @@ class Mrn(Pebble):
         return self.config.mrn.outer_weight * preference_loss(q_second - q_first, target)
 
     def metrics(self) -> dict[str, float]:
-        """Of the last step on the outer loss, NaN before the first, and how many there were.
-
-        `meta_gradient` is the gradient's norm, `meta_cosine` the cosine between its descent and Adam's step.
-        """
+        """Norm of the last outer gradient, cosine of its descent and Adam's step (NaN before), and their number."""
         norm, cosine = self._figures.tolist()
         return {"meta_gradient": norm, "meta_cosine": cosine, "meta_steps": float(self._steps)}
 

@@ -50,9 +50,8 @@ class Pebble:
     def fit(self, feedback: Feedback) -> dict[str, float]:
         """Up to `epochs` passes over all labels, until the accuracy of an epoch exceeds `target_accuracy`.
 
-        Returns:
-            `label_accuracy` of the last epoch (each minibatch before its step, ties left out; NaN if all are ties),
-            `reward_loss`, and `epochs` done.
+        Returns `label_accuracy` of the last epoch (each minibatch before its step, ties left out; NaN if all are ties),
+        `reward_loss`, and `epochs` done.
         """
         epochs = 0
         accuracy = loss = float("nan")

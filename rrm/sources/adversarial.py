@@ -1,18 +1,28 @@
-"""The reward that demonstrations make: AIRL on its schedule, and the prior or the gradients it leaves behind."""
+"""The reward that demonstrations make: adversarial inverse reinforcement learning beside an agent (Fu et al. 2018;
+appendix "Imitation rewards").
+
+The agent is trained on f over its running standard deviation, taken anew for every batch it samples, so that no reward
+is older than the discriminator; its own entropy term stands for -log pi. Policy transitions are uniform among the
+newest. What is kept is g as it was at the latest of the best evaluations: the final one where that is at 100 %.
+"""
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING, cast
 
 import torch
 
-from rrm.imitation.airl import Airl
+from rrm.imitation.discriminator import Discriminator, RewardNet
 from rrm.imitation.finetune import GradientLog
+from rrm.moments import RunningMoments
 from rrm.sources.base import RewardSource
 from rrm.types import Batch
 
 if TYPE_CHECKING:
     from pathlib import Path
+
+    from torch import Tensor
 
     from rrm.buffers.replay import Replay
     from rrm.config import ImitationConfig
@@ -22,17 +32,14 @@ if TYPE_CHECKING:
     from rrm.seeding import Streams
     from rrm.types import Evaluation, State, Transition
 
+_ROWS_AT_ONCE = 2048  #: of a forward pass, whose memory is kept
+
 
 class Adversarial(RewardSource):
-    """Discriminator against agent.
+    """Demonstrations, discriminator, and what they leave behind: a prior, or the norms of g's gradients.
 
     Args:
-        config: of the discriminator and its schedule.
-        demos: of the expert.
-        replay: of the policy.
-        discount: of the agent.
-        streams: see `rrm.imitation.airl.Airl`.
-        precision: of products between hidden layers.
+        streams: `imitation-init` draws weights, `imitation` the minibatches.
         about: what to say of the prior that is left behind; None where g is trained further with preferences, and the
             norms of its gradients are what is left.
     """
@@ -50,45 +57,88 @@ class Adversarial(RewardSource):
         precision: Precision,
         about: State | None,
     ) -> None:
-        self.gradients = GradientLog()
         self._config = config
         self._replay = replay
         self._about = about
-        log = self.log if about is None else None
-        self.airl = Airl(config, demos, discount, streams, precision=precision, log=log)
+        self._sizes = demos.obs.shape[1], demos.act.shape[1]
+        self.discriminator = Discriminator(
+            config, *self._sizes, discount, generator=streams.torch("imitation-init"), precision=precision
+        )
+        self.gradients = GradientLog()
+        self._summary = demos.summary()
+        obs, act, next_obs = (torch.from_numpy(array.copy()) for array in (demos.obs, demos.act, demos.next_obs))
+        blank, continues = torch.zeros(len(demos)), 1.0 - torch.from_numpy(demos.terminated.astype("float32"))
+        self._expert = Batch(obs, act, blank, blank, next_obs, continues)
+        self._generator = streams.torch("imitation")
+        self._scale = RunningMoments()
+        self._kept: State | None = None
 
     def log(self, loss: str, norm: float) -> None:
         """Record a gradient step of the present environment step: every step is a transition."""
         self.gradients.add(self._replay.transitions, loss, norm)
 
+    def attend(self, step: int, agent: Agent) -> None:
+        """A round of gradient steps of the discriminator against the policy as it is, where one is due."""
+        config, since = self._config, step - self._config.seed_steps
+        if since < 0 or since % config.every:
+            return
+        for _ in range(config.updates):
+            rows = torch.randint(len(self._expert.obs), (config.minibatch,), generator=self._generator)
+            expert = Batch(*(column[rows] for column in self._expert if column is not None))
+            policy = self._replay.draw(config.minibatch, self._generator, newest=config.window)
+            log_prob = cast("StochasticAgent", agent).log_prob(
+                torch.cat((expert.obs, policy.obs)), torch.cat((expert.act, policy.act))
+            )
+            norm = self.discriminator.step(expert, policy, log_prob)
+            if self._about is None:
+                self.log(config.pretrain, norm)
+
     def reward(self, step: Transition) -> float:
         """As it is now, for the curve; what the agent learns from is taken anew with every batch."""
         obs, act, next_obs = (torch.from_numpy(part)[None] for part in (step.obs, step.act, step.next_obs))
         blank, continues = torch.zeros(1), torch.tensor([0.0 if step.terminated else 1.0])
-        return float(self.airl.look(Batch(obs, act, blank, blank, next_obs, continues)))
-
-    def attend(self, step: int, agent: Agent) -> None:
-        """Train the discriminator, if it is due."""
-        since = step - self._config.seed_steps
-        if since >= 0 and since % self._config.every == 0:
-            window = self._config.window
-            self.airl.train(
-                lambda count, stream: self._replay.draw(count, stream, newest=window), cast("StochasticAgent", agent)
-            )
+        return float(self._raw(Batch(obs, act, blank, blank, next_obs, continues)) / (self._scale.std or 1.0))
 
     def batch(self, agent: Agent) -> Batch:  # noqa: ARG002 (the seam of others)
+        """Transitions with their reward now; the deviation takes the batch in first."""
         batch = self._replay.sample()
-        return batch._replace(reward=self.airl.reward(batch))
+        raw = self._raw(batch)
+        values = raw.double()
+        self._scale.add(float(values.mean()), float(values.var(correction=0)), len(values))
+        return batch._replace(reward=raw / (self._scale.std or 1.0))
+
+    def _raw(self, batch: Batch) -> Tensor:
+        if self._config.pretrain == "mse":
+            return self.discriminator.g.predict(batch.obs, batch.act)
+        return self.discriminator.f(batch)
 
     def evaluated(self, step: int, evaluation: Evaluation) -> None:
-        """Keep g as it is if this evaluation is the best so far."""
-        if self._about is not None:
-            newest = self._replay.newest(self._config.window)
-            self.airl.keep(step, evaluation.success, evaluation.true_return, newest)
+        """Keep g as it is, unless an earlier evaluation was better; the return decides where success is NaN.
+
+        The range of g is recorded on the demonstrations and on the policy's newest transitions.
+        """
+        success = None if math.isnan(evaluation.success) else evaluation.success
+        score = evaluation.true_return if success is None else success
+        if self._about is None or (self._kept is not None and self._kept["score"] > score):
+            return
+        g, newest = self.discriminator.g, self._replay.newest(self._config.window)
+        self._kept = {
+            "score": score, "step": step, "success": success, "true_return": evaluation.true_return,
+            "range": {"demonstrations": _range(g, self._expert), "policy": _range(g, newest)},
+            "g": g.net.flat.clone(),
+        }  # fmt: skip
 
     def legacy(self) -> State:
-        """The frozen prior, where g was not trained further."""
-        return {} if self._about is None else {"imitation": {**self._about, **self.airl.kept()}}
+        """The frozen prior, where g was not trained further: its weights and shape, how good the policy was, and the
+        demonstrations behind it.
+        """
+        if self._about is None:
+            return {}
+        assert self._kept is not None  # the last step of a run is evaluated
+        shape = {name: getattr(self._config, name) for name in ("hidden", "layers", "head")}
+        sizes = dict(zip(("obs_dim", "act_dim"), self._sizes, strict=True))
+        kept = {name: value for name, value in self._kept.items() if name != "score"}
+        return {"imitation": {**self._about, "shape": shape, **sizes, "demonstrations": self._summary, **kept}}
 
     def publish(self, folder: Path) -> None:
         """The norms of the gradients, where g is trained further."""
@@ -96,8 +146,20 @@ class Adversarial(RewardSource):
             self.gradients.write(folder / "gradients.parquet")
 
     def state_dict(self) -> State:
-        return {"airl": self.airl.state_dict(), "gradients": self.gradients.state_dict()}
+        scale = self._scale.state_dict()
+        airl = {"discriminator": self.discriminator.state_dict(), "scale": scale, "kept": self._kept}
+        return {"airl": airl, "gradients": self.gradients.state_dict()}
 
     def load_state_dict(self, state: State) -> None:
-        self.airl.load_state_dict(state["airl"])
+        airl = state["airl"]
+        self.discriminator.load_state_dict(airl["discriminator"])
+        self._scale.load_state_dict(airl["scale"])
+        self._kept = airl["kept"]
         self.gradients.load_state_dict(state["gradients"])
+
+
+def _range(g: RewardNet, batch: Batch) -> list[float]:
+    """Smallest and largest reward of the transitions."""
+    parts = zip(*(torch.split(column, _ROWS_AT_ONCE) for column in (batch.obs, batch.act)), strict=True)
+    low, high = torch.aminmax(torch.cat([g.predict(obs, act) for obs, act in parts]))
+    return [float(low), float(high)]

@@ -1,10 +1,11 @@
-"""What the training loop asks of whatever makes its rewards."""
+"""What the training loop asks of whatever makes its rewards, and when it asks whom."""
 
 # ruff: noqa: B027  (what a source does not override, it takes no part in)
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
 if TYPE_CHECKING:
@@ -69,3 +70,18 @@ class RewardSource(ABC):
 
     def load_state_dict(self, state: State) -> None:
         """Continue where `state_dict` was taken."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Phase:
+    """A stretch of a run, up to where the next one begins.
+
+    Its first step is its beginning: the critic is reset and updates are made, if so many are asked for. At every later
+    step there is one update, or one every so many steps.
+    """
+
+    begin: int  #: its first step
+    source: RewardSource
+    random: bool = False  #: actions are uniformly random, and nothing is updated
+    reset_critic: bool = False
+    first_updates: int = 0  #: at the first step

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 from rrm.sources.base import RewardSource
 
@@ -12,23 +12,18 @@ if TYPE_CHECKING:
     from rrm.types import Batch, Transition
 
 
-class TrueReward(RewardSource):
-    """The environment's own reward."""
+class Known(RewardSource):
+    """The environment's own reward, or the scaled prior as it is stored."""
 
     name = "known"
 
-    def __init__(self, replay: Replay) -> None:
+    def __init__(self, replay: Replay, field: Literal["true_reward", "prior"]) -> None:
+        """Args: field: of a step, which is its reward."""
         self._replay = replay
+        self._field = field
 
     def reward(self, step: Transition) -> float:
-        return step.true_reward
+        return float(getattr(step, self._field))
 
     def batch(self, agent: Agent) -> Batch:  # noqa: ARG002 (the seam of others)
         return self._replay.sample()
-
-
-class PriorAlone(TrueReward):
-    """The scaled prior, as it is stored."""
-
-    def reward(self, step: Transition) -> float:
-        return step.prior

@@ -82,13 +82,11 @@ class PreferenceReward(RewardSource):
         one = torch.from_numpy(step.obs)[None], torch.from_numpy(step.act)[None], torch.tensor([step.prior])
         return float(self.learner.reward.predict(*one))
 
-    def due(self, step: int) -> bool:
-        """True before the steps `first + i * every`, while there is budget."""
-        since = step - self._first
-        return since >= 0 and since % self._config.every == 0 and self.queries < self._config.budget
-
     def ask(self, step: int) -> None:
-        if not self.due(step) or self.journal.asked_at == step:
+        since = step - self._first
+        if since < 0 or since % self._config.every or self.queries >= self._config.budget:
+            return
+        if self.journal.asked_at == step:
             return
         count = self._config.session_size(step, self._steps, self.queries)
         pairs = select(
@@ -96,7 +94,9 @@ class PreferenceReward(RewardSource):
             segment=self._length, experience=self._experience, reward=self.learner.reward,
             labelled=self.preferences.pairs, rng=self._rng, first=self.queries == 0,
         )  # fmt: skip
-        self._draw_unlabelled(count)
+        if unlabelled := self.learner.needs.unlabelled * count:
+            episodes = self._experience.episodes[-self._config.window :]
+            self.unlabelled.put(uniform_pairs(episodes, self._length, unlabelled, self._unlabelled_rng))
         margin = self.learner.needs.margin  # the teacher sees the middle of what the learner sees
         self.teacher.ask(self.journal.ask(self._experience, pairs + margin, self._config.segment, step))
 
@@ -119,27 +119,17 @@ class PreferenceReward(RewardSource):
             self._label_accuracy = self.learner.fit(self.feedback)["label_accuracy"]
             self.relabel()
 
-    def _draw_unlabelled(self, queries: int) -> None:
-        count = self.learner.needs.unlabelled * queries
-        if count:
-            episodes = self._experience.episodes[-self._config.window :]
-            self.unlabelled.put(uniform_pairs(episodes, self._length, count, self._unlabelled_rng))
-
     def batch(self, agent: Agent) -> Batch:
         """Transitions; before some updates the learner wants the critic first, and the rewards are those after it."""
-        if not self._refinement_due():
+        step, needs = self._replay.transitions, self.learner.needs  # every step is a transition
+        spent = self.queries >= self._config.budget and not needs.refine_when_spent
+        if step <= self._first or step % needs.refine_every or spent:
             return self._replay.sample()
-        batch = self._replay.sample(time_limits_end=self.learner.needs.time_limits_end)
+        batch = self._replay.sample(time_limits_end=needs.time_limits_end)
         if not self.learner.refine(batch, cast("CriticAgent", agent), self.feedback):
             return batch
         self.relabel()
         return batch._replace(reward=self.learner.reward.predict(batch.obs, batch.act, batch.prior))
-
-    def _refinement_due(self) -> bool:
-        """Before an update every so many steps after the first session: every step is a transition."""
-        step, needs = self._replay.transitions, self.learner.needs
-        spent = self.queries >= self._config.budget
-        return step > self._first and step % needs.refine_every == 0 and (needs.refine_when_spent or not spent)
 
     def relabel(self) -> None:
         """Give every stored transition the reward as it is learned now, on the prior stored with it."""
@@ -152,10 +142,10 @@ class PreferenceReward(RewardSource):
         """`label_accuracy`: agreement with the labels during the last epoch of the last training, NaN before;
         `true_accuracy`: with the true reward, on fresh pairs; and the learner's own.
         """
-        accuracy = {"label_accuracy": self._label_accuracy, "true_accuracy": self.true_accuracy(rng)}
+        accuracy = {"label_accuracy": self._label_accuracy, "true_accuracy": self._true_accuracy(rng)}
         return accuracy | self.learner.metrics()
 
-    def true_accuracy(self, rng: np.random.Generator) -> float:
+    def _true_accuracy(self, rng: np.random.Generator) -> float:
         """Agreement of the reward with the true one on 256 fresh uniform pairs, ties of the true return left out."""
         length = self._config.segment
         episodes = self._experience.episodes[-self._config.window :]
@@ -171,9 +161,7 @@ class PreferenceReward(RewardSource):
     def weights(self) -> State:
         return {"reward": self.learner.reward.state_dict()}
 
-    def legacy(self) -> State:
-        """The reward as it was learned."""
-        return self.weights()
+    legacy = weights  #: the reward as it was learned
 
     def state_dict(self) -> State:
         return {

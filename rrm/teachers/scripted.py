@@ -16,11 +16,11 @@ import numpy as np
 import numpy.typing as npt
 
 from rrm.buffers.pairs import EQUAL, SKIPPED, Preference
-from rrm.interfaces import Answer, Query, TrueRewards
+from rrm.interfaces import Answer, Query
 from rrm.types import Floats
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
     from rrm.config import TeacherConfig
     from rrm.types import State
@@ -31,10 +31,16 @@ _WINDOW = 10  # episodes
 class ScriptedTeacher:
     """Answers at once, from the true rewards of both segments."""
 
-    def __init__(self, config: TeacherConfig, rng: np.random.Generator, view: TrueRewards) -> None:
+    def __init__(
+        self,
+        config: TeacherConfig,
+        rng: np.random.Generator,
+        true_rewards: Callable[[npt.NDArray[np.int64], int], Floats],
+    ) -> None:
+        """Args: true_rewards: of so many steps from each of some rows on; see `Experience.true_rewards`."""
         self.config = config
         self._rng = rng
-        self._view = view
+        self._true_rewards = true_rewards
         self._per_step: deque[float] = deque(maxlen=_WINDOW)  # mean true reward of the newest episodes
         self._given: list[Answer] = []
 
@@ -42,7 +48,7 @@ class ScriptedTeacher:
         if not queries:
             return
         starts = np.array([(query.first.start, query.second.start) for query in queries], np.int64)
-        rewards = self._view.true_rewards(starts, queries[0].first.length)
+        rewards = self._true_rewards(starts, queries[0].first.length)
         preferences = self.prefer(rewards[:, 0], rewards[:, 1]).tolist()
         self._given += [Answer(query.id, value) for query, value in zip(queries, preferences, strict=True)]
 
@@ -60,19 +66,17 @@ class ScriptedTeacher:
         sums = np.stack([first.sum(1), second.sum(1)])
         typical = float(np.mean(self._per_step)) * first.shape[1] if self._per_step else 0.0
 
-        prefers = self._prefers_second(recency_weighted(first, config.gamma), recency_weighted(second, config.gamma))
+        worth = [recency_weighted(rewards, config.gamma) for rewards in (first, second)]
+        if config.beta is None:
+            prefers = worth[0] < worth[1]
+        else:
+            prefers = self._rng.random(len(first)) < preference_probability(worth[1] - worth[0], config.beta)
         flipped = self._rng.random(len(prefers)) < config.mistake
         preference: Preference = (prefers != flipped).astype(np.float32)
         preference[np.abs(sums[0] - sums[1]) < config.equal * typical] = EQUAL
         if config.skip * typical > 0:  # where a typical segment is worth less than nothing there is no such threshold
             preference[sums.max(axis=0) <= config.skip * typical] = SKIPPED
         return preference
-
-    def _prefers_second(self, first: npt.NDArray[np.float64], second: npt.NDArray[np.float64]) -> npt.NDArray[np.bool_]:
-        if self.config.beta is None:
-            return first < second
-        probability = preference_probability(second - first, self.config.beta)
-        return self._rng.random(len(first)) < probability
 
     def state_dict(self) -> State:
         return {"per_step": list(self._per_step)}

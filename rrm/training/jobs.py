@@ -1,41 +1,37 @@
-"""Jobs: what a process is given to do. `rrm.training.kinds` has the table: training a policy, or collecting
-demonstrations of one.
-"""
+"""Jobs: what a process is given to do. `rrm.training.kinds` has the table."""
 
 from __future__ import annotations
 
+import hashlib
 import shutil
 import time
-from collections import deque
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import AbstractContextManager
+from contextlib import AbstractContextManager, nullcontext
+from importlib.metadata import version
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any, Protocol
 
+import numpy as np
 import torch
 
-from rrm.checkpoint import KEPT, Checkpoints, check_finite, encode
+from rrm.checkpoint import Checkpoints, check_finite, encode
+from rrm.envs import make
 from rrm.errors import NumericalError, PriorError, WaitingError
 from rrm.files import make_folder, write_atomically
 from rrm.registry import lookup
-from rrm.training.build import DEMOS, Assembled, Results, assemble, result_of
-from rrm.training.demonstrate import demonstrate, expert_policy
-from rrm.training.demos_config import DemosConfig
-from rrm.training.fingerprint import fingerprint
-from rrm.training.kinds import JOBS, JobConfig
+from rrm.training.build import DEMOS, NO_RESULTS, Assembled, Results, assemble, result_of
+from rrm.training.episodes import demonstrate, expert_policy
+from rrm.training.kinds import JOBS, DemosConfig
 from rrm.training.loop import Trainer
-from rrm.training.run_config import RunConfig
+from rrm.training.run_config import JobConfig, RunConfig
 from rrm.types import EvalRow, State
 
-__all__ = ["Monitor", "collect", "fingerprint", "perform", "train"]
-
 _BEAT_S = 0.25
-_NOTHING: Results = MappingProxyType({})
+_WALK = 50  # steps
 
 
 class Monitor(Protocol):
-    """What a job tells whoever started it, and asks of them."""
+    """What a job tells whoever started it, and asks of them. A class made from it takes no notice and never stops."""
 
     def restored(self, rows: Sequence[EvalRow]) -> None:
         """Take every evaluation up to the checkpoint that is continued from, oldest first; most are known already."""
@@ -51,31 +47,39 @@ class Monitor(Protocol):
 
     def should_stop(self) -> bool:
         """True: write a checkpoint and return."""
+        return False
 
     def writing(self) -> AbstractContextManager[None]:
         """Around every write into the job's folder; entering it raises where the folder belongs to another by now."""
+        return nullcontext()
 
 
-def perform(config: JobConfig, folder: Path, monitor: Monitor, results: Results = _NOTHING) -> bool:
-    """Do the job in `folder`, or go on with it; see `train` and `collect`.
-
-    Args:
-        results: folders of the runs that this one requires, by identity.
-    """
+def perform(config: JobConfig, folder: Path, monitor: Monitor, results: Results = NO_RESULTS) -> bool:
+    """Do the job in `folder`, or go on with it; see `train` and `collect`."""
     does = lookup({config.kind: JOBS[config.kind].perform}, "kind of job", config.kind)
     finished: bool = does(config, folder, monitor, results)
     return finished
 
 
+def fingerprint(config: JobConfig) -> dict[str, str]:
+    """Which world a job is done in: versions of what its task is made of, and `true_reward`, a digest of the task's
+    rewards along a fixed random walk, rounded to six digits, so that machines that differ in the last bits agree.
+    """
+    env, rng = make(config.task), np.random.default_rng(0)
+    steps, shape = min(_WALK, env.horizon), env.action_space.shape
+    try:
+        env.reset(seed=0)
+        rewards = [env.step(rng.uniform(-1, 1, shape).astype(np.float32))[1] for _ in range(steps)]
+    finally:
+        env.close()
+    digest = hashlib.sha256(" ".join(f"{reward:.6f}" for reward in rewards).encode()).hexdigest()[:16]
+    return {name: version(name) for name in (*config.spec().packages, "numpy", "torch")} | {"true_reward": digest}
+
+
 def collect(config: DemosConfig, folder: Path, monitor: Monitor, results: Results) -> bool:
     """Have the expert play, and leave its episodes in `folder/demos.safetensors`. A matter of a minute: no checkpoint.
 
-    Returns:
-        True when they are there; False when it was told to stop, and will begin anew.
-
-    Raises:
-        DemosError: the expert succeeds too rarely.
-        MissingResultError: there is no expert.
+    True when they are there; False when it was told to stop, and will begin anew.
     """
     torch.set_num_threads(config.threads)
     policy = expert_policy(config.expert, result_of(results, config.expert.identity, "model.safetensors"))
@@ -103,7 +107,7 @@ def train(
     config: RunConfig,
     folder: Path,
     monitor: Monitor,
-    results: Results = _NOTHING,
+    results: Results = NO_RESULTS,
     *,
     checkpoint_every_s: float = 120.0,
     assembled: Assembled = assemble,
@@ -114,8 +118,7 @@ def train(
     written has no influence on the numbers. A finished run leaves its networks in `folder/model.safetensors` and no
     checkpoint. `assembled` makes the run's parts, for those who try one of their own.
 
-    Returns:
-        True when the run is finished; False when it was told to stop and can be continued.
+    Returns True when the run is finished; False when it was told to stop and can be continued.
 
     Raises:
         WaitingError: it cannot go on before something has come from outside; it is checkpointed.
@@ -128,33 +131,62 @@ def train(
         make_folder(checkpoints.folder)
         trainer = _restore(lambda: Trainer(config, results, assembled), checkpoints, monitor)
     monitor.restored(trainer.rows)
-    session = _Session(trainer, checkpoints, monitor, checkpoint_every_s)
+    saved_at = beat_at = time.monotonic()
+    saved_step = beat_step = trainer.step
+
+    def save() -> None:
+        nonlocal saved_at, saved_step
+        check_finite(trainer.weights())
+        if trainer.step == config.steps:
+            return  # the run is over; its networks are written instead
+        with monitor.writing():
+            checkpoints.save(trainer.step, trainer.save(checkpoints.folder))
+            trainer.experience.discard(checkpoints.folder)
+        saved_at, saved_step = time.monotonic(), trainer.step
+
     try:
-        finished = session.run()
-        if finished:
-            left = trainer.legacy()
-            with monitor.writing():
-                write_atomically(folder / "model.safetensors", encode(left))
-            _tell(left.get("imitation"), monitor)
+        while trainer.step < config.steps:
+            try:
+                trainer.advance()
+            except WaitingError:
+                save()
+                raise
+            if trainer.step % config.evaluation.every == 0 or trainer.step == config.steps:
+                monitor.row(trainer.evaluate())
+                with monitor.writing():
+                    for source in trainer.sources.values():
+                        source.publish(folder)
+                save()
+            now = time.monotonic()
+            if now - beat_at >= _BEAT_S:
+                monitor.beat(trainer.step, (trainer.step - beat_step) / (now - beat_at))
+                beat_at, beat_step = now, trainer.step
+            if monitor.should_stop():
+                break
+            if now - saved_at >= checkpoint_every_s:
+                save()
+        if trainer.step < config.steps:
+            if saved_step != trainer.step:
+                save()
+            return False
+        _leave(trainer.legacy(), folder, monitor)
     except (NumericalError, PriorError) as error:
-        saved, step = session.saved_step, trainer.step
-        last = f"the last good checkpoint is of step {saved:,}" if saved else "no checkpoint yet"
-        where = "" if f"step {step}" in str(error) else f"at step {step:,}; "
+        last = f"the last good checkpoint is of step {saved_step:,}" if saved_step else "no checkpoint yet"
+        where = "" if f"step {trainer.step}" in str(error) else f"at step {trainer.step:,}; "
         raise type(error)(f"{error} ({where}{last})") from error
     finally:
         trainer.close()
-    if finished:
-        with monitor.writing():
-            shutil.rmtree(checkpoints.folder)
-    return finished
+    with monitor.writing():
+        shutil.rmtree(checkpoints.folder)
+    return True
 
 
-def _tell(prior: State | None, monitor: Monitor) -> None:
-    """Say what an imitation prior is worth, and how far it reaches."""
-    if prior is None:
-        return
-    spans = ", ".join(f"{low:.2f} to {high:.2f} on the {name}" for name, (low, high) in prior["range"].items())
-    monitor.note(f"the prior is g of step {prior['step']:,}, {_worth(prior)}; it runs from {spans}")
+def _leave(networks: State, folder: Path, monitor: Monitor) -> None:
+    with monitor.writing():
+        write_atomically(folder / "model.safetensors", encode(networks))
+    if prior := networks.get("imitation"):  # what it is worth, and how far it reaches
+        spans = ", ".join(f"{low:.2f} to {high:.2f} on the {name}" for name, (low, high) in prior["range"].items())
+        monitor.note(f"the prior is g of step {prior['step']:,}, {_worth(prior)}; it runs from {spans}")
 
 
 def _worth(policy: Mapping[str, Any]) -> str:
@@ -168,7 +200,7 @@ def _restore(fresh: Callable[[], Trainer], checkpoints: Checkpoints, monitor: Mo
 
     def restore(state: State) -> None:
         nonlocal trainer
-        if trainer.experience.transitions:  # a checkpoint that turned out damaged half-way through
+        if trainer.experience.rows:  # a checkpoint that turned out damaged half-way through
             trainer.close()
             trainer = fresh()
         trainer.load(checkpoints.folder, state)
@@ -184,54 +216,3 @@ def _restore(fresh: Callable[[], Trainer], checkpoints: Checkpoints, monitor: Mo
         trainer.close()
         trainer = fresh()
     return trainer
-
-
-class _Session:
-    """One process' share of a run: steps until the end or until told to stop."""
-
-    def __init__(self, trainer: Trainer, checkpoints: Checkpoints, monitor: Monitor, checkpoint_every_s: float) -> None:
-        self.trainer = trainer
-        self.checkpoints = checkpoints
-        self.monitor = monitor
-        self.checkpoint_every_s = checkpoint_every_s
-        self._saved_at = time.monotonic()
-        self.saved_step = trainer.step
-        self._generations = deque([trainer.experience.generation], maxlen=KEPT)  # of the checkpoints that are kept
-
-    def run(self) -> bool:
-        trainer, config = self.trainer, self.trainer.config
-        beat_at, beat_step = time.monotonic(), trainer.step
-        while trainer.step < config.steps:
-            try:
-                trainer.advance()
-            except WaitingError:
-                self._save()
-                raise
-            if trainer.step % config.evaluation.every == 0 or trainer.step == config.steps:
-                self.monitor.row(trainer.evaluate())
-                with self.monitor.writing():
-                    trainer.publish(self.checkpoints.folder.parent)
-                self._save()
-            now = time.monotonic()
-            if now - beat_at >= _BEAT_S:
-                self.monitor.beat(trainer.step, (trainer.step - beat_step) / (now - beat_at))
-                beat_at, beat_step = now, trainer.step
-            if self.monitor.should_stop():
-                break
-            if now - self._saved_at >= self.checkpoint_every_s:
-                self._save()
-        if trainer.step < config.steps and self.saved_step != trainer.step:
-            self._save()
-        return trainer.step == config.steps
-
-    def _save(self) -> None:
-        trainer = self.trainer
-        check_finite(trainer.weights())
-        if trainer.step == trainer.config.steps:
-            return  # the run is over; its networks are written instead
-        with self.monitor.writing():
-            state = trainer.save(self.checkpoints.folder)
-            self.checkpoints.save(trainer.step, state)
-            self._generations.append(trainer.experience.generation)
-            trainer.experience.discard(self.checkpoints.folder, self._generations)
-        self._saved_at, self.saved_step = time.monotonic(), trainer.step

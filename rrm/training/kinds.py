@@ -1,87 +1,78 @@
-"""The kinds of job that a process can be given, and what all their configurations tell. No torch is imported here."""
+"""The kinds of job that a process can be given: training a policy, or collecting demonstrations of one.
+
+No torch is imported here.
+"""
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
+import hashlib
+import json
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar, Self
+from typing import Any, ClassVar, Literal, Self
 
-from rrm.config import ConfigSection, Count, NonNegative
-from rrm.envs.tasks import Task, task
-from rrm.errors import UnknownNameError
-from rrm.registry import lookup
+from pydantic import model_validator
+
+from rrm.config import Count, Fraction, NonNegative
+from rrm.errors import ConfigError
+from rrm.precision import Precision
+from rrm.training.run_config import CONFIG_VERSION, JobConfig, RunConfig
 
 
-class JobConfig(ConfigSection, ABC):
-    """What every job's configuration tells. Two jobs of equal identity are the same job."""
+class DemosConfig(JobConfig):
+    """Episodes of a trained policy, played deterministically (appendix "Imitation rewards")."""
 
-    kind: ClassVar[Any]  #: its name in `JOBS`
+    kind: ClassVar[Literal["demos"]] = "demos"
 
-    profile: str = "paper"  #: which scale this is; reports never mix two
-    task: str
-    seed: NonNegative  #: of all random numbers
-    threads: Count = 1  #: of torch; another number may round differently
+    seed: NonNegative = 0  #: of the instances that are played
+    expert: RunConfig  #: the run whose policy plays
+    episodes: Count = 50
+    least_success: Fraction = 0.8  #: share of the episodes that must succeed, where the task has that notion
+    precision: Precision = "float32"
 
-    if TYPE_CHECKING:  # a setting of some kinds, of others it follows
-
-        @property
-        def steps(self) -> int:
-            """Environment steps."""
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        if self.expert.task != self.task:
+            raise ConfigError(f"expert.task: an expert of {self.expert.task} shows nothing of {self.task}")
+        return self
 
     @property
-    @abstractmethod
     def method(self) -> str:
-        """Its name in tables."""
+        return "demos"
 
     @property
-    @abstractmethod
+    def steps(self) -> int:
+        """Environment steps of all episodes together, were none to end early."""
+        return self.episodes * self.expert.episode_steps
+
+    @property
     def requires(self) -> tuple[str, ...]:
-        """Identities of the jobs whose results this one starts from."""
+        return (self.expert.identity,)
 
-    @property
-    @abstractmethod
-    def identity(self) -> str:
-        """Sixteen hex digits that stand for everything that can change its results."""
-
-    @property
-    @abstractmethod
-    def cell(self) -> str:
-        """The identity of all seeds together: what is equal between the jobs one averages over."""
-
-    @abstractmethod
     def canonical(self) -> Self:
-        """The same job with everything that cannot change its results at its default, and user files digested.
+        return self.model_copy(update={"expert": self.expert.canonical()})
 
-        Raises:
-            ConfigError: a file of the user's cannot be read.
-        """
+    @property
+    def identity(self) -> str:
+        described = self.model_dump(mode="json", exclude_defaults=True, exclude={"expert"})
+        described |= {"version": CONFIG_VERSION, "kind": self.kind, "expert": self.expert.identity}
+        return hashlib.sha256(json.dumps(described, sort_keys=True).encode()).hexdigest()[:16]
 
-    def spec(self) -> Task:
-        """The task's description."""
-        return task(self.task)
+    @property
+    def cell(self) -> str:
+        """Demonstrations are averaged with nothing: their own identity."""
+        return self.identity
 
 
 @dataclass(frozen=True)
 class JobKind:
-    """One kind, by dotted paths."""
+    """One kind."""
 
-    config: str  #: of the class of its configurations, a `JobConfig`; importing it needs no torch
-    perform: str  #: of `(config, folder, monitor, results) -> finished`, which does it; see `rrm.training.jobs`
+    config: type[Any]  #: the class of its configurations, which offers what a `JobConfig` does
+    perform: str  #: dotted path of `(config, folder, monitor, results) -> finished`; see `rrm.training.jobs`
 
 
 #: Every kind by its name.
 JOBS = {
-    "train": JobKind("rrm.training.run_config:RunConfig", "rrm.training.jobs:train"),
-    "demos": JobKind("rrm.training.demos_config:DemosConfig", "rrm.training.jobs:collect"),
+    "train": JobKind(RunConfig, "rrm.training.jobs:train"),
+    "demos": JobKind(DemosConfig, "rrm.training.jobs:collect"),
 }
-
-
-def config_class(kind: str) -> Any:
-    """The class of a kind's configurations.
-
-    Raises:
-        UnknownNameError: there is no such kind.
-    """
-    if kind not in JOBS:
-        raise UnknownNameError("kind of job", kind, JOBS)
-    return lookup({kind: JOBS[kind].config}, "kind of job", kind)

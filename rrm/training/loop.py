@@ -7,9 +7,8 @@ store the transition with its prior value. The update at step t therefore never 
 from __future__ import annotations
 
 import time
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -19,50 +18,19 @@ from rrm.errors import NumericalError, WaitingError
 from rrm.nets.precision import check_precision
 from rrm.seeding import Streams, evaluation_seed
 from rrm.sources.base import RewardSource
-from rrm.training.build import Assembled, Results, assemble
-from rrm.training.evaluate import evaluate
-from rrm.training.phases import phase_at
+from rrm.training.build import NO_RESULTS, Assembled, Results, assemble
+from rrm.training.episodes import evaluate
 from rrm.training.run_config import RunConfig
-from rrm.types import EvalRow, Floats, Obs, State, Transition
+from rrm.types import EvalRow, Obs, State, Transition
 
 _NAN = float("nan")
-
-
-@dataclass
-class Clock:
-    """Training time without interruptions, and the step rate since the last row."""
-
-    wall_s: float = 0.0  #: up to `started`
-    row_wall_s: float = 0.0  #: at the last row
-    row_step: int = 0
-    started: float = field(default_factory=time.monotonic)
-
-    def now(self) -> float:
-        """Seconds of training so far."""
-        return self.wall_s + time.monotonic() - self.started
-
-    def state_dict(self) -> State:
-        return {"wall_s": self.now(), "row_wall_s": self.row_wall_s, "row_step": self.row_step}
-
-    def load_state_dict(self, state: State) -> None:
-        self.wall_s, self.row_wall_s = float(state["wall_s"]), float(state["row_wall_s"])
-        self.row_step = int(state["row_step"])
-        self.started = time.monotonic()
 
 
 class Trainer:
     """All the state of one run. `advance` takes one environment step; rows are asked for with `evaluate`."""
 
-    def __init__(
-        self,
-        config: RunConfig,
-        results: Results = MappingProxyType({}),
-        assembled: Assembled = assemble,
-    ) -> None:
-        """Args:
-        results: folders of the runs that this one requires, by identity.
-        assembled: makes agent, prior and phases.
-        """
+    def __init__(self, config: RunConfig, results: Results = NO_RESULTS, assembled: Assembled = assemble) -> None:
+        """Args: assembled: makes agent, prior and phases."""
         check_precision(config.precision)
         self.config = config
         self.step = 0
@@ -76,7 +44,8 @@ class Trainer:
         self.prior = parts.prior
         self.phases = parts.phases
         self.sources: dict[str, RewardSource] = {phase.source.name: phase.source for phase in self.phases}
-        self.clock = Clock()
+        self._started = time.monotonic()  # as if nothing had interrupted it
+        self._row_wall_s, self._row_step = 0.0, 0  # at the last row
         self._explore = self.streams.numpy("explore")
         self._row_transition = 0  # transitions at the last row
         self._return, self._length = 0.0, 0  # of the episode under way
@@ -85,12 +54,9 @@ class Trainer:
     def advance(self) -> None:
         """One environment step with all the learning that belongs to it.
 
-        Raises:
-            WaitingError: the reward needs what is not there yet; nothing of the step has happened.
-            NumericalError: an action, reward or prior is not finite.
-            PriorError: the prior failed.
+        A `WaitingError` says what the reward needs that is not there yet; nothing of the step has happened.
         """
-        phase = phase_at(self.phases, self.step)
+        phase = next(phase for phase in reversed(self.phases) if phase.begin <= self.step)
         phase.source.ask(self.step)
         missing = phase.source.waiting()
         if missing:
@@ -102,9 +68,17 @@ class Trainer:
         phase.source.attend(self.step, self.agent)
         if self.step == phase.begin and phase.reset_critic:
             self.agent.reset_critic()
-        for _ in range(phase.updates(self.step, self.config.agent.update_every)):
+        due = int(not phase.random and self.step % self.config.agent.update_every == 0)
+        for _ in range(phase.first_updates if self.step == phase.begin else due):
             self.agent.update(phase.source.batch(self.agent))
-        step = self._take(act)
+        next_obs, true_reward, terminated, truncated, info = self.env.step(act)
+        if not np.isfinite(true_reward):
+            raise NumericalError(f"step {self.step}: the true reward is {true_reward}")
+        obs, self._obs = self._obs, next_obs
+        raw, prior = (0.0, 0.0) if self.prior is None else self.prior(obs.state, act, info, self.step)
+        step = Transition(
+            obs.state, act, next_obs.state, prior, raw, true_reward, terminated, truncated, obs.newest, next_obs.newest
+        )
         reward = phase.source.reward(step)
         if not np.isfinite(reward):
             raise NumericalError(f"step {self.step}: the reward is {reward}; the prior says {step.prior}")
@@ -118,16 +92,6 @@ class Trainer:
             self._obs = self._reset()
         self.step += 1
 
-    def _take(self, act: Floats) -> Transition:
-        next_obs, true_reward, terminated, truncated, info = self.env.step(act)
-        if not np.isfinite(true_reward):
-            raise NumericalError(f"step {self.step}: the true reward is {true_reward}")
-        obs, self._obs = self._obs, next_obs
-        raw, prior = (0.0, 0.0) if self.prior is None else self.prior(obs.state, act, info, self.step)
-        return Transition(
-            obs.state, act, next_obs.state, prior, raw, true_reward, terminated, truncated, obs.newest, next_obs.newest
-        )
-
     def _reset(self, seed: int | None = None) -> Obs:
         obs = self.env.reset(seed=seed)
         if self.prior is not None:
@@ -135,11 +99,7 @@ class Trainer:
         return obs
 
     def evaluate(self) -> EvalRow:
-        """Evaluate the policy as it is and summarise the transitions since the last row. Training does not notice.
-
-        Raises:
-            NumericalError: a loss is not finite.
-        """
+        """Evaluate the policy as it is and summarise the transitions since the last row. Training does not notice."""
         config, step, sources = self.config, self.step, self.sources.values()
         result = evaluate(self.agent, self._eval_env, config.evaluation, seed=config.seed, step=step)
         rng = np.random.default_rng(evaluation_seed(config.seed, step, config.evaluation.episodes))
@@ -147,15 +107,15 @@ class Trainer:
         for source in sources:
             source.evaluated(step, result)
             figures |= source.figures(rng)
-        wall = self.clock.now()
-        elapsed = wall - self.clock.row_wall_s
+        wall = time.monotonic() - self._started
+        elapsed = wall - self._row_wall_s
         row = EvalRow(
             step=step, episodes=config.evaluation.episodes, true_return=result.true_return, success=result.success,
             queries=sum(source.queries for source in sources), labels=sum(source.labels for source in sources),
-            **self._lived(), wall_s=wall, steps_per_s=(step - self.clock.row_step) / elapsed if elapsed else _NAN,
+            **self._lived(), wall_s=wall, steps_per_s=(step - self._row_step) / elapsed if elapsed else _NAN,
             figures=figures,
         )  # fmt: skip
-        self.clock.row_wall_s, self.clock.row_step = wall, step
+        self._row_wall_s, self._row_step = wall, step
         self._row_transition = self.experience.transitions
         self.rows.append(row)
         return row
@@ -180,7 +140,9 @@ class Trainer:
             "agent": self.agent.state_dict(),
             "prior": None if self.prior is None else self.prior.state_dict(),
             "sources": {name: source.state_dict() for name, source in self.sources.items()},
-            "clock": self.clock.state_dict(),
+            "clock": {
+                "wall_s": time.monotonic() - self._started, "row_wall_s": self._row_wall_s, "row_step": self._row_step,
+            },
             "rows": [asdict(row) for row in self.rows],
             "loop": {
                 "step": self.step, "obs": self._obs.state, "row_transition": self._row_transition,
@@ -190,11 +152,7 @@ class Trainer:
         }  # fmt: skip
 
     def load(self, folder: Path, state: State) -> None:
-        """Continue from what `save` returned, on a fresh trainer of the same configuration.
-
-        Raises:
-            CheckpointError: the logs in `folder` do not hold what the state says.
-        """
+        """Continue from what `save` returned, on a fresh trainer of the same configuration."""
         self.experience.load(folder, state["experience"])
         self.env.load_state_dict(state["env"])
         self.agent.load_state_dict(state["agent"])
@@ -202,9 +160,10 @@ class Trainer:
             self.prior.load_state_dict(state["prior"])
         for name, source in self.sources.items():
             source.load_state_dict(state["sources"][name])
-        self.clock.load_state_dict(state["clock"])
         self.rows = [EvalRow(**row) for row in state["rows"]]
-        loop = state["loop"]
+        clock, loop = state["clock"], state["loop"]
+        self._started = time.monotonic() - float(clock["wall_s"])
+        self._row_wall_s, self._row_step = float(clock["row_wall_s"]), int(clock["row_step"])
         self.step, self._row_transition = int(loop["step"]), int(loop["row_transition"])
         self._obs = self.env.seen(loop["obs"])
         self._return, self._length = float(loop["return"]), int(loop["length"])
@@ -225,11 +184,6 @@ class Trainer:
         for source in self.sources.values():
             left |= source.legacy()
         return left
-
-    def publish(self, folder: Path) -> None:
-        """Replace what is to be looked at beside the curve."""
-        for source in self.sources.values():
-            source.publish(folder)
 
     def close(self) -> None:
         """Free the simulators."""

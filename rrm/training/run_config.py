@@ -7,9 +7,10 @@ from __future__ import annotations
 
 import hashlib
 import json
+from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, ClassVar, Literal, Self, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self, TypeVar
 
 from pydantic import model_validator
 
@@ -25,16 +26,16 @@ from rrm.config import (
     ExplorationConfig,
     FeedbackConfig,
     ImitationConfig,
+    NonNegative,
     RewardConfig,
     TeacherConfig,
 )
-from rrm.envs.tasks import TASKS, task
+from rrm.envs.tasks import TASKS, Task, task
 from rrm.errors import ConfigError, UnknownNameError
 from rrm.precision import PrecisionSetting
 from rrm.priors import check_prior
 from rrm.registry import check_file, file_digest, is_file_reference, source_digest
 from rrm.rewards import LEARNERS
-from rrm.training.kinds import JobConfig
 
 _S = TypeVar("_S", bound=ConfigSection)
 
@@ -43,6 +44,51 @@ CONFIG_VERSION = 2
 
 #: A hundred times the paper's. Each trains on all labels so far, and planning counts them one by one.
 _MOST_SESSIONS = 10_000
+
+
+class JobConfig(ConfigSection, ABC):
+    """What every job's configuration tells. Two jobs of equal identity are the same job."""
+
+    kind: ClassVar[Any]  #: its name in `JOBS`
+
+    profile: str = "paper"  #: which scale this is; reports never mix two
+    task: str
+    seed: NonNegative  #: of all random numbers
+    threads: Count = 1  #: of torch; another number may round differently
+
+    if TYPE_CHECKING:  # a setting of some kinds, of others it follows
+
+        @property
+        def steps(self) -> int:
+            """Environment steps."""
+
+    @property
+    @abstractmethod
+    def method(self) -> str:
+        """Its name in tables."""
+
+    @property
+    @abstractmethod
+    def requires(self) -> tuple[str, ...]:
+        """Identities of the jobs whose results this one starts from."""
+
+    @property
+    @abstractmethod
+    def identity(self) -> str:
+        """Sixteen hex digits that stand for everything that can change its results."""
+
+    @property
+    @abstractmethod
+    def cell(self) -> str:
+        """The identity of all seeds together: what is equal between the jobs one averages over."""
+
+    @abstractmethod
+    def canonical(self) -> Self:
+        """The same job with everything that cannot change its results at its default, and user files digested."""
+
+    def spec(self) -> Task:
+        """The task's description."""
+        return task(self.task)
 
 
 class RunConfig(JobConfig):
@@ -63,7 +109,7 @@ class RunConfig(JobConfig):
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
-        spec = task(self.task)
+        spec = self.spec()
         if self.horizon is not None and self.horizon > spec.horizon:
             raise ConfigError(f"horizon: {self.horizon} steps is longer than {self.task}'s episode of {spec.horizon}")
         names, kind = {*LEARNERS, *KINDS}, self.reward.kind
@@ -104,21 +150,12 @@ class RunConfig(JobConfig):
                 f"steps: the run ends at {self.steps}, before the first feedback at {self.first_session} "
                 "(random and unsupervised steps, and two complete episodes, come first)"
             )
-        self._sessions_end()
-
-    def _sessions_end(self) -> None:
-        assert self.feedback is not None  # the configuration has checked it
-        steps, every, budget = self.steps - self.first_session, self.feedback.every, self.feedback.budget
-        most = min(-(-steps // every), budget)
-        if most > _MOST_SESSIONS:
+        steps, every = self.steps - self.first_session, self.feedback.every
+        if (most := min(-(-steps // every), self.feedback.budget)) > _MOST_SESSIONS:
             raise ConfigError(f"feedback.every: {most:,} sessions; a run has at most {_MOST_SESSIONS:,}")
 
     def check_margin(self, margin: int) -> None:
-        """Refuse segments that, with `margin` steps more on either side, are longer than an episode.
-
-        Raises:
-            ConfigError: they are.
-        """
+        """Refuse segments that, with `margin` steps more on either side, are longer than an episode."""
         assert self.feedback is not None  # the configuration has checked it
         segment, longer = self.feedback.segment, f" and {margin} more on either side" if margin else ""
         if segment + 2 * margin > self.episode_steps:

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from rrm.config import AIRL, IMITATION
 from rrm.files import place
-from rrm.training.demos_config import DemosConfig
+from rrm.training.kinds import DemosConfig
 from rrm.training.run_config import RunConfig
 from rrmctl.planning.grid import profile_layers
 from rrmctl.planning.settings import resolve

@@ -12,7 +12,7 @@ from rrmctl.store.layout import RunFolder
 from rrmctl.store.provenance import CONFIG_HINT, read_config
 
 if TYPE_CHECKING:
-    from rrm.training.kinds import JobConfig
+    from rrm.training.run_config import JobConfig
 
 _BACK = (
     "bring it back, then `rrmctl resume` goes on; or run the experiment again with the file where it is now: the same "
@@ -46,7 +46,7 @@ def load_config(folder: RunFolder) -> JobConfig:
 
     from rrm.errors import ConfigError, UnknownNameError
     from rrm.registry import file_digest
-    from rrm.training.kinds import config_class
+    from rrm.training.kinds import JOBS
     from rrm.training.run_config import CONFIG_VERSION
 
     stored = read_config(folder)
@@ -63,10 +63,10 @@ def load_config(folder: RunFolder) -> JobConfig:
             raise MissingFileError(str(error), _BACK) from error
         if changed:
             raise MissingFileError(f"{path} has changed since this run was planned with it", _BACK)
-    try:
-        model = config_class(str(stored.get("kind", "train")))  # written before there were kinds: a run
-    except UnknownNameError as error:
-        raise DamagedError(f"{folder.config}: {error}", CONFIG_HINT) from error
+    kind = str(stored.get("kind", "train"))  # written before there were kinds: a run
+    if kind not in JOBS:
+        raise DamagedError(f"{folder.config}: {UnknownNameError('kind of job', kind, JOBS)}", CONFIG_HINT)
+    model = JOBS[kind].config
     fields = {key: value for key, value in stored.items() if key not in _LABELS or key in model.model_fields}
     try:
         config: JobConfig = model.model_validate(fields)

@@ -21,7 +21,7 @@ def play_run(folder: RunFolder, episodes: int, seed: int, least_success: float) 
         UserError: the run is not done, or trains no policy.
         RrmError: its networks are not there, or its policy succeeds too rarely.
     """
-    from rrm.training.demonstrate import expert_policy
+    from rrm.training.episodes import expert_policy
     from rrm.training.run_config import RunConfig
 
     state = run_status(folder).state
@@ -44,7 +44,7 @@ def play_script(task: str, episodes: int, seed: int, least_success: float) -> De
 
 
 def _play(task: str, policy: Any, episodes: int, **options: Any) -> Demonstrations:
-    from rrm.training.demonstrate import demonstrate
+    from rrm.training.episodes import demonstrate
 
     demos = demonstrate(task, policy, episodes, **options)
     assert demos is not None  # nobody asked it to stop

@@ -39,7 +39,7 @@ from rrmctl.terminal import attend
 
 if TYPE_CHECKING:
     from rrm.training.jobs import Monitor
-    from rrm.training.kinds import JobConfig
+    from rrm.training.run_config import JobConfig
 
 _T = TypeVar("_T")
 

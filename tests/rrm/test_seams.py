@@ -9,11 +9,9 @@ from rrm.agents import AGENTS
 from rrm.config import AgentConfig, EvaluationConfig, ExplorationConfig, RewardConfig
 from rrm.envs import TASKS, FrameSpace, Spaces, Task
 from rrm.envs.base import TaskEnv
-from rrm.sources.base import RewardSource
+from rrm.sources.base import Phase, RewardSource
 from rrm.training.build import assemble
-from rrm.training.fingerprint import fingerprint
-from rrm.training.jobs import train
-from rrm.training.phases import Phase
+from rrm.training.jobs import fingerprint, train
 from rrm.training.run_config import RunConfig
 from tests.rrm.training.conftest import Recorder
 
@@ -105,7 +103,7 @@ class Praise(RewardSource):
 def praised(given, streams, results):
     parts = assemble(given, streams, results)
     source = Praise(parts.replay)
-    return replace(parts, phases=(Phase(name="all", begin=0, source=source),))
+    return replace(parts, phases=(Phase(begin=0, source=source),))
 
 
 def test_a_source_of_rewards_of_ones_own(tmp_path):

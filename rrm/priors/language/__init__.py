@@ -78,18 +78,13 @@ def is_frozen(name: str) -> bool:
 def load_frozen(name: str) -> Callable[[PriorStep], float]:
     """The function in a frozen file, which sees nothing but `PriorStep` and the vocabulary.
 
-    Raises:
-        RrmError: the code goes beyond the subset, or the file cannot be read or holds no record.
+    An `RrmError` where the code goes beyond the subset, or the file cannot be read or holds no record.
     """
     return _admitted(name)[0].function()
 
 
 def check_frozen(name: str, task: Task) -> None:
-    """Refuse, without running it, a frozen file that cannot be the prior of this task.
-
-    Raises:
-        RrmError: as `load_frozen`, or it was written for another task, or reads what the task does not reveal.
-    """
+    """Refuse, without running it, a frozen file that cannot be the prior of this task: written for another, say."""
     admitted, record = _admitted(name)
     if record.task != task.name:
         raise ConfigError(f'prior "{name}" was written for {record.task}, not for {task.name}')

@@ -47,12 +47,8 @@ def freeze_best(
 ) -> tuple[Path, Record]:
     """Try candidates and freeze the best of them as `folder/TASK.language.py`.
 
-    Args:
-        model, date, prompt: where the candidates come from, as the user says; the prompt is the text that was sent.
-
-    Raises:
-        ConfigError: a file cannot be read, or there is a frozen prior already.
-        PriorError: no candidate executes; says why, for each.
+    `model`, `date`, `prompt`: where the candidates come from, as the user says; the prompt is the text that was sent. A
+    `PriorError` says of each candidate why it does not execute, where none does.
     """
     target = folder / f"{task.name}{LANGUAGE}"
     if target.exists():

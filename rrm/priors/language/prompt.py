@@ -73,14 +73,11 @@ comprehensions, classes or texts.
 
 _WORD = "reward"
 
-Span = tuple[int, int]  #: of bytes
-
 
 def make_prompt(task: Task, *, skeleton: bool) -> str:
     """The prompt for this task, with the skeleton of an answer at its end or without.
 
-    Raises:
-        ConfigError: there is none for the task, its package is missing, or its reward cannot be taken out.
+    A `ConfigError` where there is none, its package is missing, or its reward cannot be taken out.
     """
     source = source_without_reward(task).rstrip("\n")
     prompt = f"Here is a {_TASKS[task.name][1]} The environment code is:\n\n{source}\n\n{_INSTRUCTION}\n"
@@ -132,7 +129,7 @@ def without_reward(source: str, where: str) -> str:
     return text
 
 
-def _spans(source: str, data: bytes) -> Iterator[Span]:
+def _spans(source: str, data: bytes) -> Iterator[tuple[int, int]]:
     """What goes: statements with their whole lines, parameters with their comma, comments, alone with their line."""
     starts = [0, *accumulate(map(len, data.splitlines(keepends=True)))]  # of lines; the parser counts columns in bytes
     for node in _doomed(ast.parse(source).body):

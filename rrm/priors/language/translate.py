@@ -63,8 +63,7 @@ class Admitted:
 def admit(source: bytes, where: str) -> Admitted:
     """Check the code of a whole file, without running it.
 
-    Raises:
-        RefusedCodeError: names the file (`where`), the line, and the construct that the subset does not have.
+    A `RefusedCodeError` names the file (`where`), the line, and the construct that the subset does not have.
     """
     try:
         with warnings.catch_warnings(action="ignore"):  # of the parser, about texts that are dropped

@@ -154,8 +154,12 @@ def test_what_does_not_change_is_written_once(tmp_path):
     grown = {path.name: path.stat().st_size - before[path.name][0] for path in tmp_path.iterdir()}
     assert grown == {"transitions.bin": 4 * 6 + 1, "reward-000000.bin": 4}
     experience.relabel(lambda obs, act, prior: prior)
-    experience.save(tmp_path)
-    experience.discard(tmp_path, [experience.generation])
+    for generations in ([0, 1], [1]):  # of the two checkpoints that are kept
+        experience.save(tmp_path)
+        experience.discard(tmp_path)
+        assert [f"reward-{number:06d}.bin" for number in generations] == sorted(
+            path.name for path in tmp_path.glob("reward-*")
+        )
     assert sorted(p.name for p in tmp_path.iterdir()) == ["reward-000001.bin", "transitions.bin"]
 
 

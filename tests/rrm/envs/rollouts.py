@@ -14,7 +14,7 @@ import numpy as np
 
 from rrm.checkpoint import decode
 from rrm.envs import make, task
-from rrm.interfaces import Env
+from rrm.envs.base import TaskEnv
 
 HORIZON = 30
 
@@ -24,7 +24,7 @@ def actions(name: str, count: int, seed: int) -> np.ndarray:
     return np.random.default_rng(seed).uniform(-1, 1, (count, task(name).spaces.act)).astype(np.float32)
 
 
-def roll(env: Env, acts: np.ndarray) -> list:
+def roll(env: TaskEnv, acts: np.ndarray) -> list:
     """Everything the environment says under these actions, with resets where an episode ends."""
     heard = []
     for act in acts:

@@ -11,7 +11,7 @@ import safetensors.numpy
 from rrm.envs import task
 from rrm.errors import ConfigError, DemosError, UnknownNameError
 from rrm.imitation.demos import DEMOS_FORMAT, Demonstrations
-from rrm.training.demonstrate import demonstrate
+from rrm.training.episodes import demonstrate
 
 ARRAYS = ("obs", "act", "next_obs", "terminated", "lengths", "returns", "successes")
 

@@ -11,15 +11,13 @@ from rrm.teachers import TEACHERS
 from rrm.teachers.scripted import ScriptedTeacher, preference_probability, recency_weighted
 
 
-class Told:
+def told(starts, length):
     """Rewards of the rows: each is worth its own number."""
-
-    def true_rewards(self, starts, length):
-        return (starts[..., None] + np.arange(length)).astype(np.float32)
+    return (starts[..., None] + np.arange(length)).astype(np.float32)
 
 
 def teacher(**config):
-    return ScriptedTeacher(TeacherConfig(**config), np.random.default_rng(0), Told())
+    return ScriptedTeacher(TeacherConfig(**config), np.random.default_rng(0), told)
 
 
 def pairs(first, second, times=1):

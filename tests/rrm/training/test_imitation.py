@@ -22,8 +22,8 @@ from rrm.imitation.demos import Demonstrations
 from rrm.priors.imitation import ImitationPrior
 from rrm.registry import file_digest
 from rrm.training.build import result_of
-from rrm.training.demos_config import DemosConfig
 from rrm.training.jobs import collect, perform, train
+from rrm.training.kinds import DemosConfig
 from rrm.training.loop import Trainer
 from rrm.training.run_config import RunConfig
 from rrm.types import Obs
@@ -303,16 +303,16 @@ def test_fine_tuning_goes_on_with_everything_but_the_loss(imitating, results):
         trainer.advance()
     agent, transitions = trainer.agent.state_dict(), trainer.experience.transitions
     critic = trainer.agent._adams["critic"].state_dict()["steps"].item()
-    before = trainer.sources["adversarial"].airl.discriminator.state_dict()
+    before = trainer.sources["adversarial"].discriminator.state_dict()
     trainer.advance()
     assert trainer.agent.updates == agent["updates"] + 1
     assert trainer.agent._adams["critic"].state_dict()["steps"].item() == critic + 1
     assert trainer.experience.transitions == transitions + 1
-    after = trainer.sources["adversarial"].airl.discriminator.state_dict()
+    after = trainer.sources["adversarial"].discriminator.state_dict()
     assert not torch.equal(before["g"], after["g"])
     assert torch.equal(before["h"], after["h"])
     rows = trainer.experience.since(0)
-    g = trainer.sources["adversarial"].airl.discriminator.g.predict(
+    g = trainer.sources["adversarial"].discriminator.g.predict(
         trainer.experience.obs[rows], trainer.experience.act[rows]
     )
     torch.testing.assert_close(trainer.experience.reward[rows], g)

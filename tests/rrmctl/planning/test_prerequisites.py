@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from rrm.imitation.demos import Demonstrations
-from rrm.training.demos_config import DemosConfig
+from rrm.training.kinds import DemosConfig
 from rrm.training.run_config import RunConfig
 from rrmctl.errors import UserError
 from rrmctl.planning.manifest import load, parse

@@ -364,7 +364,7 @@ def count(config: CountConfig, folder: Path, monitor: RunMonitor, results: Mappi
 
 def test_a_kind_of_job_of_ones_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A configuration, a function and a line in the table: it is recorded, checked, done and told like ours."""
-    monkeypatch.setitem(JOBS, "count", JobKind(f"{__name__}:CountConfig", f"{__name__}:count"))
+    monkeypatch.setitem(JOBS, "count", JobKind(CountConfig, f"{__name__}:count"))
     folder = Layout(tmp_path).run(CountConfig().identity)
     record_config(folder, config_content(CountConfig(steps=7)))
     assert main([str(tmp_path), folder.id]) is WorkerExit.DONE

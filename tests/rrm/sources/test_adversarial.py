@@ -5,16 +5,35 @@ import pytest
 import torch
 
 from rrm.config import ImitationConfig
-from rrm.imitation.airl import Airl
 from rrm.seeding import Streams
-from rrm.types import Batch
+from rrm.sources.adversarial import Adversarial
+from rrm.types import Batch, Evaluation, Transition
 from tests.rrm.imitation.test_demos import demos
 
 CONFIG = ImitationConfig(hidden=8, layers=1, updates=3, minibatch=4, lr=1e-2)
 
 
+class Replay:
+    """Transitions at random."""
+
+    def draw(self, count, stream, *, newest):
+        return batch(int(torch.randint(1000, (1,), generator=stream)), count)
+
+    def sample(self):
+        return batch()
+
+    def newest(self, count):
+        return batch()
+
+
 def make(**changes):
-    return Airl(CONFIG.model_copy(update=changes), demos(), 0.9, Streams(0))
+    config, options = CONFIG.model_copy(update=changes), {"precision": "float32", "about": {"task": "toy-car"}}
+    return Adversarial(config, demos(), Replay(), discount=0.9, streams=Streams(0), **options)
+
+
+def train(source, policy):
+    """One round of gradient steps."""
+    source.attend(CONFIG.seed_steps, policy)
 
 
 def batch(seed=0, count=32):
@@ -35,34 +54,31 @@ class Uniform:
         return torch.full((len(obs),), -2 * np.log(2.0))
 
 
-def draw(count, stream):
-    return batch(int(torch.randint(1000, (1,), generator=stream)), count)
-
-
 def test_the_reward_is_the_discriminators_as_it_is_now():
     """Over its running deviation, whatever reward is stored; after a round of training it is another."""
-    airl, steps = make(), batch()
-    raw = airl.discriminator.f(steps)
-    torch.testing.assert_close(airl.reward(steps), raw / raw.std())
-    airl.train(draw, Uniform())
-    assert (airl.discriminator.f(steps) != raw).all()
-    both = torch.cat((raw, airl.discriminator.f(steps)))
-    torch.testing.assert_close(airl.reward(steps), both[32:] / both.std())
+    source, steps = make(), batch()
+    raw = source.discriminator.f(steps)
+    torch.testing.assert_close(source.batch(None).reward, raw / raw.std())
+    train(source, Uniform())
+    assert (source.discriminator.f(steps) != raw).all()
+    both = torch.cat((raw, source.discriminator.f(steps)))
+    torch.testing.assert_close(source.batch(None).reward, both[32:] / both.std())
 
 
 def test_looking_changes_nothing():
     """The running deviation is that of what the agent was trained on."""
-    airl = make()
-    airl.reward(batch())
-    before = airl.state_dict()["scale"]
-    airl.look(batch(1))
-    assert airl.state_dict()["scale"] == before
+    source, steps = make(), batch(1)
+    source.batch(None)
+    before = source.state_dict()["airl"]["scale"]
+    step = Transition(*(field[0].numpy() for field in (steps.obs, steps.act, steps.next_obs)), 0, 0, 0, False, False)
+    source.reward(step)
+    assert source.state_dict()["airl"]["scale"] == before
 
 
 def test_the_policys_density_is_asked_for_the_experts_actions_too():
     """As many of both, expert first, in every gradient step."""
-    airl, policy = make(), Uniform()
-    airl.train(draw, policy)
+    source, policy = make(), Uniform()
+    train(source, policy)
     assert len(policy.asked) == 3
     obs, act = policy.asked[0]
     assert obs.shape == (8, 15)
@@ -74,9 +90,9 @@ def test_the_policys_density_is_asked_for_the_experts_actions_too():
 
 def test_demonstrations_are_told_from_the_policy():
     """After some rounds g is higher on what the expert does."""
-    airl = make(updates=200)
-    airl.train(draw, Uniform())
-    g = airl.discriminator.g
+    source = make(updates=200)
+    train(source, Uniform())
+    g = source.discriminator.g
     expert = demos()
     high = g.predict(torch.from_numpy(expert.obs), torch.from_numpy(expert.act)).mean()
     assert high > g.predict(batch().obs, batch().act).mean() + 1
@@ -93,12 +109,12 @@ def test_demonstrations_are_told_from_the_policy():
 )
 def test_the_latest_of_the_best_evaluations_is_kept(evaluations, kept):
     """By success, or by return where the task knows none; with step, range and demonstrations."""
-    airl, weights = make(), {}
+    source, weights = make(), {}
     for step, (success, true_return) in zip((10, 20, 30), evaluations, strict=True):
-        airl.train(draw, Uniform())
-        weights[step] = airl.discriminator.g.net.flat.clone()
-        airl.keep(step, success, true_return, batch())
-    prior = airl.kept()
+        train(source, Uniform())
+        weights[step] = source.discriminator.g.net.flat.clone()
+        source.evaluated(step, Evaluation(true_return, success))
+    prior = source.legacy()["imitation"]
     assert prior["step"] == kept
     assert torch.equal(prior["g"], weights[kept])
     assert prior["demonstrations"]["source"] == "test"
@@ -109,10 +125,10 @@ def test_the_latest_of_the_best_evaluations_is_kept(evaluations, kept):
 
 def test_the_figures_variant_rewards_g_itself():
     """Trained by mean squared error, there is no shaping and no policy in the reward."""
-    airl = make(pretrain="mse")
+    source = make(pretrain="mse")
     steps = batch()
-    g = airl.discriminator.g.predict(steps.obs, steps.act)
-    torch.testing.assert_close(airl.reward(steps), g / g.std())
-    h = airl.discriminator.h.flat.clone()
-    airl.train(draw, Uniform())
-    assert torch.equal(h, airl.discriminator.h.flat)
+    g = source.discriminator.g.predict(steps.obs, steps.act)
+    torch.testing.assert_close(source.batch(None).reward, g / g.std())
+    h = source.discriminator.h.flat.clone()
+    train(source, Uniform())
+    assert torch.equal(h, source.discriminator.h.flat)

@@ -1,0 +1,118 @@
+"""Episodes of a policy: what it is worth, and recorded as demonstrations.
+
+On environments and random streams of their own, so that they cannot disturb training.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from rrm.checkpoint import again, read_networks
+from rrm.config import EvaluationConfig
+from rrm.envs import make
+from rrm.envs.observer import Observer
+from rrm.errors import DemosError, MissingResultError
+from rrm.imitation.demos import Demonstrations
+from rrm.interfaces import Agent
+from rrm.seeding import Streams, evaluation_seed
+from rrm.training.build import build_agent
+from rrm.training.run_config import RunConfig
+from rrm.types import Evaluation, Floats, Obs
+
+Policy = Callable[[Floats], Floats]
+
+
+def evaluate(agent: Agent, env: Observer, config: EvaluationConfig, *, seed: int, step: int) -> Evaluation:
+    """Play `config.episodes` episodes; the instances depend on the run's seed, the step and the episode alone."""
+    totals: list[float] = []
+    successes: list[float] = []
+    for number in range(config.episodes):
+        obs = env.reset(seed=evaluation_seed(seed, step, number))
+        total, flags, over = 0.0, [], False
+        while not over:
+            obs, reward, terminated, truncated, info = env.step(agent.act(obs, explore=False))
+            total += reward
+            flags.append(float(info.get("success", np.nan)))
+            over = terminated or truncated
+        totals.append(total)
+        successes.append(flags[-1] if config.success == "last" else float(np.max(flags)))
+    return Evaluation(float(np.mean(totals)), float(np.mean(successes)))
+
+
+def expert_policy(config: RunConfig, model: Path) -> Policy:
+    """The deterministic policy of a finished run, from the networks it left in the file `model`."""
+    agent = build_agent(config, Streams(config.seed))
+    networks = read_networks(model, "the expert's networks")
+    if "agent" not in networks:
+        raise MissingResultError(f"{model} does not hold the expert's networks: {again(model)}")
+    agent.load_state_dict(networks["agent"])
+    return lambda obs: agent.act(Obs(obs), explore=False)
+
+
+def demonstrate(
+    task: str,
+    policy: Policy,
+    episodes: int,
+    *,
+    seed: int,
+    source: Mapping[str, Any],
+    horizon: int | None = None,
+    least_success: float = 0.0,
+    stopped: Callable[[int, float], bool] = lambda _step, _rate: False,
+) -> Demonstrations | None:
+    """Play episodes of a task and record them; None where it was stopped.
+
+    Args:
+        seed: the stream `demonstrations` of it draws the instances.
+        source: what to say of the policy in the provenance.
+        horizon: steps of an episode where shorter than the task's own.
+        least_success: share of the episodes that must succeed (else `DemosError`), where the task has that notion.
+        stopped: asked after every episode with the steps so far and steps per second.
+    """
+    env, rng, began = make(task, horizon), Streams(seed).numpy("demonstrations"), time.monotonic()
+    steps: dict[str, list[Any]] = {"obs": [], "act": [], "next_obs": [], "terminated": []}
+    lengths: list[int] = []
+    returns: list[float] = []
+    successes: list[float] = []
+    try:
+        for _ in range(episodes):
+            obs, _ = env.reset(seed=int(rng.integers(2**31)))
+            begin, total, success, over = len(steps["obs"]), 0.0, -np.inf, False
+            while not over:
+                act = np.clip(policy(obs), -1.0, 1.0).astype(np.float32)
+                next_obs, reward, terminated, truncated, info = env.step(act)
+                for values, value in zip(steps.values(), (obs, act, next_obs, terminated), strict=True):
+                    values.append(value)
+                total += reward
+                success = max(success, float(info["success"])) if "success" in info else np.nan
+                obs, over = next_obs, terminated or truncated
+            played = len(steps["obs"])
+            lengths.append(played - begin)
+            returns.append(total)
+            successes.append(success)
+            if stopped(played, played / (time.monotonic() - began)):
+                return None
+    finally:
+        env.close()
+    demos = Demonstrations(
+        obs=np.array(steps["obs"], np.float32),
+        act=np.array(steps["act"], np.float32),
+        next_obs=np.array(steps["next_obs"], np.float32),
+        terminated=np.array(steps["terminated"], np.uint8),
+        lengths=np.array(lengths, np.int64),
+        returns=np.array(returns, np.float64),
+        successes=np.array(successes, np.float64),
+        provenance={"task": task, "seed": seed, **source},
+    )
+    if demos.success < least_success:
+        raise DemosError(
+            f"the expert succeeds in {demos.success:.0%} of {episodes} episodes of {task}, {least_success:.0%} are "
+            "asked for: train it longer, ask for less with imitation.expert_success, or name a file of your own with "
+            "imitation.demos"
+        )
+    return demos
