@@ -49,7 +49,7 @@ class Column:
 
 
 @dataclass(frozen=True)
-class Grid:
+class TextGrid:
     """A table as people read it."""
 
     header: tuple[str, ...]
@@ -61,7 +61,7 @@ class Grid:
         assert all(len(row) == len(self.header) for row in self.rows)
 
     @classmethod
-    def of(cls, columns: Sequence[Column], rows: Sequence[Row]) -> Grid:
+    def of(cls, columns: Sequence[Column], rows: Sequence[Row]) -> TextGrid:
         """What people see of these columns."""
         shown = [column for column in columns if column.heading and column.tells(rows)]
         words = len(list(takewhile(lambda column: column.kind == TEXT, shown)))
@@ -128,7 +128,7 @@ def pivoted(
     best: str,
     compared: Sequence[str] = COMPARED,
     beside: Sequence[Column] = (),
-) -> Grid:
+) -> TextGrid:
     """A table with a row for each place, and beside it what belongs to each of several heads; the runs stand last.
 
     Args:
@@ -156,7 +156,7 @@ def pivoted(
             if not knows(row["method"]):
                 cell = (at, len(names) + len(cells) * heads.index(name))
                 entries.append((cell, tuple(row[name] for name in compared), row[best]))
-    return Grid(header, tuple(lines), len(shown), highest(entries))
+    return TextGrid(header, tuple(lines), len(shown), highest(entries))
 
 
 def estimated(

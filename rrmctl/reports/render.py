@@ -18,7 +18,7 @@ from rrmctl.terminal import console
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from rrmctl.reports.columns import Grid
+    from rrmctl.reports.columns import TextGrid
     from rrmctl.reports.report import Report
 
 #: Of the JSON document and the CSV columns; raised by one when one is added, removed, or changes its meaning.
@@ -81,7 +81,7 @@ def _markdown(reports: Sequence[Report]) -> str:
     return "\n\n".join(parts) + "\n"
 
 
-def _cells(grid: Grid, at: int, row: Sequence[str], signs: dict[int, str], bold: str) -> list[str]:
+def _cells(grid: TextGrid, at: int, row: Sequence[str], signs: dict[int, str], bold: str) -> list[str]:
     """A row with every cell escaped, and the best ones in bold."""
     cells = enumerate(text.translate(signs) for text in row)
     return [bold.format(cell) if (at, column) in grid.best else cell for column, cell in cells]
@@ -123,7 +123,7 @@ def _latex(reports: Sequence[Report]) -> str:
     return environment.get_template("latex.jinja").render(tables=tables, packages=LATEX_PACKAGES)
 
 
-def _folding(grid: Grid) -> str:
+def _folding(grid: TextGrid) -> str:
     """The alignment of names in a table over several pages: long ones are broken into lines."""
     longest = [max(len(row[column]) for row in grid.rows) for column in range(grid.words)]
     weights = [min(max(length, _WEIGHTS[0]), _WEIGHTS[1]) if length > _LETTERS else 0 for length in longest]

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from rrmctl.errors import UserError
 from rrmctl.labels import NOTHING_ASKED, Label
-from rrmctl.reports.columns import Column, Grid, Row
+from rrmctl.reports.columns import Column, TextGrid, Row
 from rrmctl.reports.series import Section
 from rrmctl.reports.statistics import BOOTSTRAP_SEED, SURE, Statistics
 from rrmctl.stats import MIN_RUNS, REPLICATES
@@ -32,7 +32,7 @@ class Report:
 
     title: str
     table: pd.DataFrame  #: raw values: success as a fraction, returns as they are, nothing as NaN
-    grid: Grid
+    grid: TextGrid
     notes: tuple[str, ...]
     facts: dict[str, Any]  #: what the notes say, in JSON values; experiment, profile and variant among them
 
@@ -43,7 +43,7 @@ def section_report(
     columns: Sequence[Column],
     rows: Iterable[Row],
     *,
-    grid: Callable[[list[Row]], Grid] | None = None,
+    grid: Callable[[list[Row]], TextGrid] | None = None,
     notes: Iterable[str] = (),
     **more: Any,
 ) -> Report:
@@ -56,7 +56,7 @@ def section_report(
     """
     table, whole = tabled(columns, rows)
     words = (*contents_notes(section), *notes, *statistics_notes(section, settings))
-    text = Grid.of(columns, whole) if grid is None else grid(whole)
+    text = TextGrid.of(columns, whole) if grid is None else grid(whole)
     return Report(title(section), table, text, words, facts(section, settings) | more)
 
 

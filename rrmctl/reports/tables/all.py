@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 
 from rrmctl.errors import UserError
 from rrmctl.reports import tables
-from rrmctl.reports.columns import Grid
+from rrmctl.reports.columns import TextGrid
 from rrmctl.reports.report import NoDataError, Report, facts, title
 from rrmctl.reports.series import Section
 from rrmctl.reports.statistics import Statistics
@@ -47,4 +47,4 @@ def _reports(
             return [report for section in sections for report in _reports(make, [section], settings)]
         problem, own = str(error), facts(sections[0], settings)
         own["problems"].append(problem)
-        return [Report(title(sections[0]), pd.DataFrame(), Grid((), ()), (problem,), own)]
+        return [Report(title(sections[0]), pd.DataFrame(), TextGrid((), ()), (problem,), own)]

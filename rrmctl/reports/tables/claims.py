@@ -14,7 +14,7 @@ from typing import Any
 
 from rrmctl.planning.profiles import PAPER
 from rrmctl.reports.claims import CLAIMS
-from rrmctl.reports.columns import Column, Grid, Row, estimated
+from rrmctl.reports.columns import Column, TextGrid, Row, estimated
 from rrmctl.reports.report import Report, contents_notes, merged_facts, some, statistics_notes, tabled, title
 from rrmctl.reports.series import Section
 from rrmctl.reports.statistics import LEVEL, Statistics
@@ -55,7 +55,7 @@ def make(sections: Sequence[Section], settings: Statistics) -> list[Report]:
     reports = []
     for alike in variants.values():
         table, rows = tabled(COLUMNS, _rows(alike, settings))
-        grid = Grid.of(COLUMNS, [row for row in rows if row["decides"]])
+        grid = TextGrid.of(COLUMNS, [row for row in rows if row["decides"]])
         verdicts = Counter({row["claim"]: row["verdict"] for row in rows}.values())
         notes = [f"{len(CLAIMS)} claims: {', '.join(f'{count} {verdict}' for verdict, count in verdicts.items())}."]
         notes += [f"{section.experiment}: {note}" for section in alike for note in contents_notes(section)]

@@ -13,7 +13,7 @@ from dataclasses import replace
 from typing import Any
 
 from rrmctl.labels import NOTHING_ASKED
-from rrmctl.reports.columns import METHOD, RUNS, SCORE, Column, Grid, Row, estimated, pivoted
+from rrmctl.reports.columns import METHOD, RUNS, SCORE, Column, TextGrid, Row, estimated, pivoted
 from rrmctl.reports.report import Report, section_report, some
 from rrmctl.reports.scores import read_together, score
 from rrmctl.reports.series import Panel, Section, Series
@@ -97,7 +97,7 @@ def _rows(tasks: Sequence[Sequence[Panel]], settings: Statistics) -> list[dict[s
     return together + rows
 
 
-def _grid(rows: Sequence[Row]) -> Grid:
+def _grid(rows: Sequence[Row]) -> TextGrid:
     """A row for each task and schedule, and a column for each method, its interval in the same cell."""
     cells = {"{}": lambda row: " ".join(dict.fromkeys(column.text(row) for column in _MEAN[:2]))}
     return pivoted(rows, _PLACE, lambda row: str(row["method"]), cells, best="mean_iqm")

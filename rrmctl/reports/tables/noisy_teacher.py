@@ -16,7 +16,19 @@ from typing import Any
 
 from rrmctl.labels import NOTHING_ASKED, ORACLE
 from rrmctl.reports import published
-from rrmctl.reports.columns import METHOD, NOTHING, RUNS, SCORE, STEP, Column, Grid, Row, estimated, pivoted, plus_minus
+from rrmctl.reports.columns import (
+    METHOD,
+    NOTHING,
+    RUNS,
+    SCORE,
+    STEP,
+    Column,
+    TextGrid,
+    Row,
+    estimated,
+    pivoted,
+    plus_minus,
+)
 from rrmctl.reports.report import Report, section_report, some
 from rrmctl.reports.series import Section
 from rrmctl.reports.statistics import Statistics
@@ -80,7 +92,7 @@ def _rows(section: Section, settings: Statistics) -> list[dict[str, Any]]:
     return rows
 
 
-def _matrix(rows: Sequence[Row]) -> Grid:
+def _matrix(rows: Sequence[Row]) -> TextGrid:
     """The paper's form: a row for each method whatever it builds on, a column for each teacher, the paper's beside.
 
     Methods of which several would share a row keep rows of their own, and schedules of one teacher have columns.

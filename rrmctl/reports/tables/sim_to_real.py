@@ -16,7 +16,19 @@ import numpy as np
 from rrm.envs.tasks import ScoreKind
 from rrmctl.planning.profiles import PAPER
 from rrmctl.reports import published
-from rrmctl.reports.columns import COMPARED, METHOD, RUNS, SCORE, STEP, Column, Grid, Row, estimated, number, pivoted
+from rrmctl.reports.columns import (
+    COMPARED,
+    METHOD,
+    RUNS,
+    SCORE,
+    STEP,
+    Column,
+    TextGrid,
+    Row,
+    estimated,
+    number,
+    pivoted,
+)
 from rrmctl.reports.published import Checkpoint
 from rrmctl.reports.report import Report, section_report, some
 from rrmctl.reports.scores import score
@@ -82,7 +94,7 @@ def _ours(
     return {"step": int(steps[reached[-1]]), "n": series.n, **here}
 
 
-def _grid(rows: Sequence[Row]) -> Grid:
+def _grid(rows: Sequence[Row]) -> TextGrid:
     """A row for each task, checkpoint and method; success and return beside one another."""
     tasks = list(dict.fromkeys(row["task"] for row in rows))
     places = (

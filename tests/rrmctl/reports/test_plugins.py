@@ -15,7 +15,7 @@ from rich.console import Console
 
 import rrmctl
 from rrmctl.errors import UserError
-from rrmctl.reports.columns import Column, Grid, highest
+from rrmctl.reports.columns import Column, TextGrid, highest
 from rrmctl.reports.dataframes import report_table
 from rrmctl.reports.render import FORMATS, print_terminal, to_text
 from rrmctl.reports.report import Report, tabled
@@ -117,7 +117,7 @@ def test_every_kind_is_whole(name):
 
 
 def bold(cell="97.5 %"):
-    grid = Grid(("Method", "IQM"), (("a", "3.0 %"), ("b", cell)), best=frozenset({(1, 1)}))
+    grid = TextGrid(("Method", "IQM"), (("a", "3.0 %"), ("b", cell)), best=frozenset({(1, 1)}))
     return Report("t", pd.DataFrame({"x": [1]}), grid, (), {"experiment": "e", "profile": "p", "variant": "v"})
 
 
@@ -151,10 +151,10 @@ def test_columns_are_the_frame_and_the_text():
         "task": "str", "method": "str", "score": "float64", "n": "Int64"
     }  # fmt: skip
     assert table["n"].isna().tolist() == [False, False, True]
-    grid = Grid.of(columns, whole)
+    grid = TextGrid.of(columns, whole)
     assert (grid.header, grid.words, grid.best) == (("Method", "Score"), 1, {(2, 1)})
     assert grid.rows == (("oracle", "9"), ("pebble", "1"), ("mrn", "2"))
-    assert Grid.of(columns, [*whole, whole[0] | {"task": "b"}]).header == ("Task", "Method", "Score")
+    assert TextGrid.of(columns, [*whole, whole[0] | {"task": "b"}]).header == ("Task", "Method", "Score")
 
 
 cells = st.text(st.characters(codec="latin-1", categories=("L", "N", "P", "S")), min_size=1, max_size=6)
@@ -170,7 +170,7 @@ grids = st.integers(1, 4).flatmap(
 def test_a_grid_keeps_its_cells_in_markdown(grid):
     """However odd the text, every row of the grid is one line of as many cells; without rows there is no table."""
     header, rows = grid
-    made = Report("t", pd.DataFrame(), Grid(tuple(header), tuple(map(tuple, rows)), 1), (), {})
+    made = Report("t", pd.DataFrame(), TextGrid(tuple(header), tuple(map(tuple, rows)), 1), (), {})
     lines = [line for line in to_text([made], "markdown").splitlines() if line.startswith("|")]
     assert len(lines) == (2 + len(rows) if rows else 0)
     for line in lines:
@@ -181,7 +181,7 @@ def test_a_grid_keeps_its_cells_in_markdown(grid):
 def test_groups_are_named_once(grid):
     """A name stands where its group begins and nowhere else; nothing but the first column changes."""
     header, rows = grid
-    made = Grid(tuple(header), tuple(map(tuple, rows)), 1)
+    made = TextGrid(tuple(header), tuple(map(tuple, rows)), 1)
     name, ended = None, False
     for (row, last), whole in zip(made.grouped(), made.rows, strict=True):
         assert row[0] == ("" if whole[0] == name else whole[0])

@@ -16,7 +16,7 @@ from typer.testing import CliRunner
 from rrmctl.cli.app import app
 from rrmctl.errors import UserError
 from rrmctl.reports import run_facts
-from rrmctl.reports.columns import Grid
+from rrmctl.reports.columns import TextGrid
 from rrmctl.reports.figures import figures
 from rrmctl.reports.page.assembly import build, render
 from rrmctl.reports.page.chapter import MOST_BYTES, SEVERAL, gather, picture
@@ -294,7 +294,7 @@ class Kind:
 
 def report(section, name=""):
     facts = {"experiment": name or section.experiment, "variant": section.variant}
-    return Report(section.experiment, pd.DataFrame(), Grid(("A",), (("1",),)), ("note",), facts)
+    return Report(section.experiment, pd.DataFrame(), TextGrid(("A",), (("1",),)), ("note",), facts)
 
 
 def refuse(sections, settings):
