@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from rrmctl.errors import UserError
 from rrmctl.labels import NOTHING_ASKED, Label
-from rrmctl.reports.columns import Column, TextGrid, Row
+from rrmctl.reports.columns import Column, Row, TextGrid
 from rrmctl.reports.series import Section
 from rrmctl.reports.statistics import BOOTSTRAP_SEED, SURE, Statistics
 from rrmctl.stats import MIN_RUNS, REPLICATES

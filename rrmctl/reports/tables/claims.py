@@ -14,7 +14,7 @@ from typing import Any
 
 from rrmctl.planning.profiles import PAPER
 from rrmctl.reports.claims import CLAIMS
-from rrmctl.reports.columns import Column, TextGrid, Row, estimated
+from rrmctl.reports.columns import Column, Row, TextGrid, estimated
 from rrmctl.reports.report import Report, contents_notes, merged_facts, some, statistics_notes, tabled, title
 from rrmctl.reports.series import Section
 from rrmctl.reports.statistics import LEVEL, Statistics

@@ -13,7 +13,7 @@ from dataclasses import replace
 from typing import Any
 
 from rrmctl.labels import NOTHING_ASKED
-from rrmctl.reports.columns import METHOD, RUNS, SCORE, Column, TextGrid, Row, estimated, pivoted
+from rrmctl.reports.columns import METHOD, RUNS, SCORE, Column, Row, TextGrid, estimated, pivoted
 from rrmctl.reports.report import Report, section_report, some
 from rrmctl.reports.scores import read_together, score
 from rrmctl.reports.series import Panel, Section, Series
