@@ -40,7 +40,7 @@ def test_a_run_is_trained_loaded_and_used_elsewhere(shown):
     assert act.shape == env.action_space.shape
     _, reward, *_, info = env.step(act)
     goal, car = obs[2:4], obs[0:2]
-    scale = max(1.0, run.prior._normaliser._moments.std)
+    scale = max(1.0, run.prior._seen.std)
     assert abs(reward - -np.linalg.norm(goal - car) / scale) <= 1.0 + 1e-5  # the residual is a tanh
     assert info["true_reward"] != reward
     assert run.evaluate(episodes=5, seed=1) == run.evaluate(episodes=5, seed=1)
