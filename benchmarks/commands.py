@@ -67,7 +67,7 @@ def lines() -> list[Line]:
             _line(f"rrmctl plan, {jobs:,} jobs", 2.0, (*planned, "--results", str(nothing)), "none run yet"),
             _line(f"rrmctl plan, {jobs:,} jobs begun", 2.0, (*planned, "--results", str(begun)), "interrupted"),
             _line(f"rrmctl status, {jobs:,} runs", 1.5, ("status", "--results", str(begun)), f"of {jobs} runs"),
-            _line(f"rrmctl report iqm, {runs} runs x {EVALUATIONS}", 5.0, report, f"{runs} of {runs} planned runs"),
+            _line(f"rrmctl report iqm, {runs} runs x {EVALUATIONS}", 5.0, report, "success tasks"),
         ]
 
 
