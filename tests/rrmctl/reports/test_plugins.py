@@ -32,7 +32,7 @@ For a test.
 
 import pandas as pd
 
-from rrmctl.reports.columns import Grid
+from rrmctl.reports.columns import TextGrid
 from rrmctl.reports.report import Report, facts, title
 
 EXPERIMENT = None
@@ -44,7 +44,7 @@ def make(sections, settings):
         Report(
             title(section),
             pd.DataFrame({{"runs": [section.contained]}}),
-            Grid(
+            TextGrid(
                 ("What", "Runs"),
                 (("all", str(section.contained)), ("sign", str(settings.plus_minus))),
                 best=frozenset({{(0, 1)}}),
