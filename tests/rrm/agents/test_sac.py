@@ -79,8 +79,8 @@ def test_equals_textbook(obs: int, act: int, hidden: int, layers: int, rows: int
         assert expected == pytest.approx(sac.figures(), rel=1e-4, abs=1e-5)
         for ours, theirs in ((sac.actor, plain.actor), (sac.critic, plain.critics)):
             expected_grad = flat_grads(theirs)
-            # As a whole: a unit that rounding puts on the other side of zero changes a few entries and not the sum.
-            assert (stacked_grads(ours) - expected_grad).norm() <= 2e-2 * expected_grad.norm()
+            # As a whole: a unit that rounding puts on the other side of zero changes a few entries, by one row's share.
+            assert (stacked_grads(ours) - expected_grad).norm() <= (2e-3 + 4e-2 / rows) * expected_grad.norm()
     for ours, theirs in ((sac.critic, plain.critics), (sac.target, plain.targets), (sac.actor, plain.actor)):
         weights, textbook = flat_weights(unstack(ours)), flat_weights(theirs)
         apart = (weights - textbook).abs()
