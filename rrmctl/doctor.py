@@ -19,7 +19,7 @@ from typing import Literal
 from rrm.environ import environment
 from rrm.precision import extensions
 from rrmctl.errors import UserError
-from rrmctl.hardware import cpu_model, usable_cores
+from rrm.hardware import cpu_model, usable_cores
 from rrmctl.planning.experiments import SHIPPED, available
 
 DISTRIBUTION = "rrmctl"

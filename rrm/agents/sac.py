@@ -19,7 +19,7 @@ from torch import Tensor
 from rrm.errors import CheckpointError, NumericalError
 from rrm.losses import squashed_gaussian_log_prob
 from rrm.nets.adam import FlatAdam
-from rrm.nets.mlp import StackedMLP
+from rrm.nets.mlp import Memory, Pass, StackedMLP
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -81,19 +81,24 @@ class _Workspace:
     sampled actions, observations with the actions taken. The actor reads the observations of the first two at once.
     """
 
-    def __init__(self, actor: StackedMLP, critic: StackedMLP, batch: int) -> None:
+    def __init__(self, actor: StackedMLP, critic: StackedMLP, target: StackedMLP, batch: int) -> None:
         obs_dim, width = actor.widths[0], critic.widths[0]
         device = actor.flat.device
         # Matrix libraries may round differently where memory is aligned differently: inputs are copied to one place,
         # and their rows start on cache lines.
         blocks = torch.empty(3 * batch, -(-width // 16) * 16, device=device)[:, :width]
-        self.following, self.imagined, self.taken = torch.split(blocks, batch)
+        following, imagined, taken = torch.split(blocks, batch)
         both = blocks[: 2 * batch]
-        self.obs, self.sampled = both[:, :obs_dim], both[:, obs_dim:].t()
+        self.obs = blocks[:, :obs_dim]
+        self.act, self.sampled = taken[:, obs_dim:], both[:, obs_dim:].t()
         self.noise = torch.empty(width - obs_dim, 2 * batch, device=device)
         self.next_rows, self.rows = slice(batch), slice(batch, None)  #: of what was sampled
-        self.actor = actor.tape(2 * batch)
-        self.critic = critic.tape(batch)
+        memory, shared = Memory.of(actor, 2 * batch), Memory.of(critic, batch)
+        self.actor = Pass(actor, both[:, :obs_dim], memory)
+        self.ascent = Pass(actor, both[self.rows, :obs_dim], memory.part(self.rows))
+        self.target = Pass(target, following, shared)
+        self.critic = Pass(critic, taken, shared)
+        self.imagined = Pass(critic, imagined, shared, columns=slice(obs_dim, None))
 
 
 class Sac:
@@ -144,13 +149,12 @@ class Sac:
             "actor": self.actor.flat, "critic": self.critic.flat, "target": self.target.flat,
             "log_alpha": self.log_alpha, "figures": self._figures,
         }  # fmt: skip
-        self._acting = self.actor.tape(1)
-        self._space = _Workspace(self.actor, self.critic, config.batch)
+        self._acting = Pass(self.actor, torch.empty(1, obs_dim, device=device))
+        self._space = _Workspace(self.actor, self.critic, self.target, config.batch)
 
     @torch.no_grad()
     def act(self, obs: Obs, *, explore: bool) -> Floats:
-        row = torch.tensor(obs.state, dtype=torch.float32, device=self.actor.flat.device).unsqueeze(0)
-        head = self.actor.forward(row, self._acting)[0]
+        head = self._acting(torch.as_tensor(obs.state, dtype=torch.float32))[0]
         if explore:
             noise = torch.randn(self.act_dim, 1, generator=self._explore, device=head.device)
             act = _Sample(head, noise).act
@@ -175,15 +179,13 @@ class Sac:
     @torch.no_grad()
     def update(self, batch: Batch) -> None:
         """One step of critic, actor and temperature; the target follows every second time, the first included."""
-        if len(self._space.taken) != len(batch.reward):
-            self._space = _Workspace(self.actor, self.critic, len(batch.reward))
-        alpha, space, obs_dim = self.log_alpha.exp(), self._space, self.obs_dim
-        space.following[:, :obs_dim].copy_(batch.next_obs)
-        space.imagined[:, :obs_dim].copy_(batch.obs)
-        space.taken[:, :obs_dim].copy_(batch.obs)
-        space.taken[:, obs_dim:].copy_(batch.act)
+        if len(self._space.act) != len(batch.reward):
+            self._space = _Workspace(self.actor, self.critic, self.target, len(batch.reward))
+        alpha, space = self.log_alpha.exp(), self._space
+        torch.cat((batch.next_obs, batch.obs, batch.obs), out=space.obs)
+        space.act.copy_(batch.act)
         # One pass samples for the next observations and the present ones: the actor changes only after either was used.
-        sample = _Sample(self.actor.forward(space.obs, space.actor)[0], space.noise.normal_(generator=self._noise))
+        sample = _Sample(space.actor.forward()[0], space.noise.normal_(generator=self._noise))
         space.sampled.copy_(sample.act)
         log_prob = sample.log_prob()
         critic_loss = self._update_critic(batch, log_prob, alpha)
@@ -199,23 +201,25 @@ class Sac:
     def _update_critic(self, batch: Batch, log_prob: Tensor, alpha: Tensor) -> Tensor:
         """Regress both critics on the soft value of the next state; returns the sum of their mean squared errors."""
         space = self._space
-        q_next = self.target.forward(space.following, space.critic).squeeze(1)
+        q_next = space.target.forward().squeeze(1)
         value = torch.minimum(q_next[0], q_next[1]).addcmul_(alpha, log_prob[space.next_rows], value=-1)
         q_target = batch.reward.addcmul(batch.continues, value, value=self.config.discount)
-        error = self.critic.forward(space.taken, space.critic).squeeze(1) - q_target
-        self.critic.backward_params((error * (2 / len(q_target))).unsqueeze(1), space.critic)
+        error = space.critic.forward().squeeze(1) - q_target
+        torch.mul(error, 2 / len(q_target), out=space.critic.grad.squeeze(1))
+        space.critic.backward_params()
         self._adams["critic"].step()
         return error.square().sum() / len(q_target)
 
     def _update_actor(self, sample: _Sample, log_prob: Tensor, alpha: Tensor) -> tuple[Tensor, Tensor]:
         """Ascend the smaller Q plus entropy; returns the loss and the estimate of the entropy."""
         space = self._space
-        q = self.critic.forward(space.imagined, space.critic)
+        q = space.imagined.forward()
         share = -1 / q.shape[-1]
-        grad_q = torch.stack((q[0] <= q[1], q[0] > q[1])) * share  # only the smaller critic is asked
-        grad_act = self.critic.backward_inputs(grad_q, space.critic, slice(self.obs_dim, None))
-        grad_head = sample.backward(grad_act.sum(dim=0), -share * alpha, space.rows)
-        self.actor.backward_params(grad_head.unsqueeze(0), space.actor.second_half())
+        smaller = q[:1] <= q[1:]
+        torch.mul(torch.cat((smaller, ~smaller)), share, out=space.imagined.grad)  # only the smaller critic is asked
+        grad_act = space.imagined.backward_inputs()
+        space.ascent.grad[0].copy_(sample.backward(grad_act.sum(dim=0), -share * alpha, space.rows))
+        space.ascent.backward_params()
         self._adams["actor"].step()
         entropy = -log_prob[space.rows].mean()
         return -alpha.squeeze() * entropy - torch.minimum(q[0], q[1]).mean(), entropy

@@ -92,26 +92,30 @@ class Discriminator:
         both = Batch(*(torch.cat(pair) for pair in pairs))
         is_expert = torch.zeros(len(both.obs)).index_fill_(0, torch.arange(len(expert.obs)), 1.0)
         g, h, count = self.g.net, self.h, len(both.obs)
-        tape = g.take_tape(count)
-        reward = self.g.headed(g.forward(torch.cat((both.obs, both.act), dim=1), tape)[0, 0])
+        pairs_in = torch.cat((both.obs, both.act), dim=1)
+        here = g.take(pairs_in.shape)
+        reward = self.g.headed(here(pairs_in)[0, 0])
         if self.config.pretrain == "airl":
-            h_tape = h.take_tape(2 * count)
-            value, value_next = h.forward(torch.cat((both.obs, both.next_obs)), h_tape)[0, 0].chunk(2)
+            states = torch.cat((both.obs, both.next_obs))
+            there = h.take(states.shape)
+            value, value_next = there(states)[0, 0].chunk(2)
             bootstrap = self.discount * both.continues
             logit = reward + bootstrap * value_next - value - log_prob
             delta = (torch.sigmoid(logit) - is_expert) / count
             loss = binary_cross_entropy_with_logits(logit, is_expert)
-            h.backward_params(torch.cat((-delta, bootstrap * delta)).view(1, 1, -1), h_tape)
+            torch.cat((-delta, bootstrap * delta), out=there.grad[0, 0])
+            there.backward_params()
             self._adams[1].step()
-            h.give_back(h_tape)
+            h.give_back(there)
         else:  # g alone, pulled to 1 on expert transitions and to 0 on the policy's (the paper's figure on fine-tuning)
             error = reward - is_expert
             delta, loss = error * (2 / count), error.square().mean()
         if self.g.bounded:  # the gradient in the network's outputs, given that in the rewards
             delta = delta * (1 - reward.square())
-        g.backward_params(delta.view(1, 1, -1), tape)
+        here.grad[0, 0].copy_(delta)
+        here.backward_params()
         self._adams[0].step()
-        g.give_back(tape)
+        g.give_back(here)
         if not torch.isfinite(loss):
             raise NumericalError(f"the loss of the discriminator is {float(loss)}")
         return float(g.flat_grad.norm())

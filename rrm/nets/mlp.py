@@ -1,25 +1,27 @@
 """Several independent MLPs of one shape, stacked so that each layer is one batched matrix product.
 
 The parameters of a stack lie in one flat buffer: an optimiser step or a Polyak average is then a single operation.
-`forward` and `backward_*` are written out: they work in a reusable `Tape` and compute only the gradients asked for.
-Calling a stack uses the same equations under autograd. `plain` is the reference, ordinary differentiable code that
-takes the parameters as an argument; the tests compare all of them, and with `torch.nn.Linear`.
+A `Pass` is a way through a stack and back with everything at a fixed place in memory; both directions are written out,
+and only gradients asked for are computed. Calling a stack makes passes under autograd. `plain` is the reference, ordinary
+differentiable code that takes the parameters as an argument; the tests compare all of them, and with `torch.nn.Linear`.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any, Literal
 
 import torch
 from torch import Tensor, nn
 
-from rrm.nets.precision import Multiplying
+from rrm.nets.products import bind
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from rrm.nets.ways import Work
     from rrm.precision import Precision
 
 Activation = Literal["relu", "leaky_relu"]
@@ -31,21 +33,131 @@ LEAK = 0.01  #: slope of leaky_relu below zero
 _ALIGN = 16
 
 
-@dataclass
-class Tape:
-    """What one `forward` leaves for a backward pass, and room for the gradients on the way down."""
+#: Passes kept by a stack for its next calls, of different numbers of rows.
+_SPARES = 2
 
-    inputs: Tensor  #: what the stack was given, [N, B, in]
+_add_relu_ = torch.ops.aten._add_relu_.Tensor
+_relu_backward = torch.ops.aten.threshold_backward.grad_input
+_leaky_relu_backward = torch.ops.aten.leaky_relu_backward.grad_input
+
+
+@dataclass(frozen=True)
+class Memory:
+    """Room for the activations of one pass; passes that are not under way at the same time can share it."""
+
     hidden: list[Tensor]  #: after the activation, [N, B, hidden] each
     outputs: Tensor  #: [N, out, B]
-    deltas: tuple[Tensor, Tensor]  #: [N, B, hidden], used in turns
+    deltas: tuple[Tensor, Tensor]  #: [N, B, hidden], used in turns on the way down
 
-    def second_half(self) -> Tape:
-        """The part of a tape of one member that belongs to the second half of the rows; it shares memory."""
-        groups = self.hidden, self.deltas
-        hidden, deltas = ([rows.view(2, -1, rows.shape[-1])[1:] for rows in group] for group in groups)
-        inputs = self.inputs[:, self.inputs.shape[1] // 2 :]
-        return Tape(inputs, hidden, self.outputs.chunk(2, dim=-1)[1], (deltas[0], deltas[1]))
+    @staticmethod
+    def of(net: StackedMLP, rows: int) -> Memory:
+        """Fresh memory for inputs of so many rows."""
+
+        def room(*shape: int) -> Tensor:
+            return torch.empty(net.members, *shape, device=net.flat.device)
+
+        hidden = [room(rows, width) for width in net.widths[1:-1]]
+        widest = max(net.widths[1:-1], default=0)
+        return Memory(hidden, room(net.widths[-1], rows), (room(rows, widest), room(rows, widest)))
+
+    def part(self, rows: slice) -> Memory:
+        """That of these rows alone."""
+        hidden = [layer[:, rows] for layer in self.hidden]
+        return Memory(hidden, self.outputs[..., rows], (self.deltas[0][:, rows], self.deltas[1][:, rows]))
+
+
+class Pass:
+    """A way through a stack and back. Whoever owns it fills `inputs`, and `grad` before it asks for gradients.
+
+    The output is narrow, and matrix libraries are several times quicker when the narrow side comes first: the last
+    product, its weights and its gradient are computed transposed.
+
+    Args:
+        inputs: [B, in] or [N, B, in], read when `forward` is called and again on the way back.
+        columns: of the inputs that `backward_inputs` is about.
+    """
+
+    def __init__(self, net: StackedMLP, inputs: Tensor, memory: Memory | None = None, columns: slice | None = None) -> None:
+        self._net = net
+        self.given = inputs
+        self.inputs = inputs.expand(net.members, -1, -1)
+        self._memory = memory = memory or Memory.of(net, inputs.shape[-2])
+        self.outputs = memory.outputs  #: [N, out, B]
+        self.grad = torch.empty_like(memory.outputs, memory_format=torch.contiguous_format)  #: in the outputs
+        self._weight = net.weights[0][:, columns or slice(None)]
+
+    def __call__(self, x: Tensor) -> Tensor:
+        """`forward` of these inputs, which are copied to where it reads them."""
+        self.given.copy_(x)
+        return self.forward()
+
+    def forward(self) -> Tensor:
+        """The outputs, [N, out, B], where they stay until the next pass in this memory."""
+        for work in self._up:
+            work()
+        return self.outputs
+
+    def backward_params(self) -> None:
+        """Overwrite `flat_grad` of the stack with a loss' gradient, given its gradient in the outputs."""
+        for work in self._to_params:
+            work()
+
+    def backward_inputs(self) -> Tensor:
+        """Gradient in the columns of the inputs, [N, columns, B], where it stays, given that in the outputs."""
+        works, input_grad = self._to_inputs
+        for work in works:
+            work()
+        return input_grad
+
+    @cached_property
+    def _up(self) -> list[Work]:
+        net, h, works = self._net, self.inputs, []
+        for layer, out in enumerate(self._memory.hidden):
+            weight, bias = net.weights[2 * layer : 2 * layer + 2]
+            works.append(bind(h, weight, out, net.precision if layer else "float32"))
+            if net.activation == "relu":
+                works.append(partial(_add_relu_, out, bias))  # one pass over memory
+            else:
+                works += partial(out.add_, bias), partial(nn.functional.leaky_relu_, out, LEAK)
+            h = out
+        works.append(bind(_t(net.weights[-2]), _t(h), self.outputs))
+        works.append(partial(self.outputs.add_, _t(net.weights[-1])))
+        return works
+
+    @cached_property
+    def _to_params(self) -> list[Work]:
+        net, hidden = self._net, self._memory.hidden
+        below = [self.inputs, *hidden]
+        works: list[Work] = [
+            bind(self.grad, below[-1], _t(net.grads[-2])),
+            partial(torch.sum, self.grad, 2, keepdim=True, out=_t(net.grads[-1])),
+        ]
+        grad = _t(self.grad)
+        for layer in reversed(range(len(hidden))):
+            down, grad = self._descend(layer, grad)
+            works += down
+            works.append(bind(_t(below[layer]), grad, net.grads[2 * layer], net.precision if layer else "float32"))
+            works.append(partial(torch.sum, grad, 1, keepdim=True, out=net.grads[2 * layer + 1]))
+        return works
+
+    @cached_property
+    def _to_inputs(self) -> tuple[list[Work], Tensor]:
+        net, grad, works = self._net, _t(self.grad), []
+        for layer in reversed(range(len(self._memory.hidden))):
+            down, grad = self._descend(layer, grad)
+            works += down
+        out = torch.empty(net.members, self._weight.shape[1], grad.shape[1], device=grad.device)
+        return [*works, bind(self._weight, _t(grad), out)], out
+
+    def _descend(self, layer: int, grad: Tensor) -> tuple[list[Work], Tensor]:
+        """To the gradient in the product of a hidden layer, given that in the product of the layer above."""
+        net, activated, delta = self._net, self._memory.hidden[layer], self._memory.deltas[layer % 2]
+        precision = net.precision if layer + 1 < len(self._memory.hidden) else "float32"
+        product = bind(grad, _t(net.weights[2 * layer + 2]), delta, precision)
+        # Both activations keep the sign of their input, so their output tells on which side it was.
+        if net.activation == "relu":
+            return [product, partial(_relu_backward, delta, activated, 0, grad_input=delta)], delta
+        return [product, partial(_leaky_relu_backward, delta, activated, LEAK, True, grad_input=delta)], delta
 
 
 class StackedMLP:
@@ -79,17 +191,16 @@ class StackedMLP:
         self.widths = (inputs, *[hidden] * layers, outputs)
         self.activation = activation
         self.init = init
-        self._inner, self._outer = Multiplying(precision), Multiplying("float32")
+        self.precision: Precision = precision
         shapes = [s for i, o in zip(self.widths, self.widths[1:], strict=False) for s in ((i, o), (1, o))]
         shapes[-2] = (outputs, self.widths[-2])
         size = sum(_padded(members * math.prod(shape)) for shape in shapes)
         self.flat = torch.zeros(size, device=device)  #: all parameters; the padding between them stays zero
         self.flat_grad = torch.zeros_like(self.flat)  #: their gradients, filled by `backward_params`
-        self._params = self._windows(self.flat, shapes)
-        self._transposed = [_t(p) for p in self._params]
+        self.weights = self._windows(self.flat, shapes)  #: and biases: `[W0, b0, W1, b1, ...]`, W [N, in, out], b [N, 1, out]
         self.grads = self._windows(self.flat_grad, shapes)  #: views in the order and shapes of `parameters()`
-        self._spare: tuple[int, Tape] | None = None
-        self._leaves = [p.detach().requires_grad_() for p in self._params]
+        self._spares: dict[torch.Size, Pass] = {}
+        self._leaves = [p.detach().requires_grad_() for p in self.weights]
         if generator is not None:
             self.initialise(generator)
 
@@ -107,7 +218,7 @@ class StackedMLP:
     def initialise(self, generator: torch.Generator) -> None:
         """Draw fresh weights in place."""
         for member in range(self.members):
-            for weight, bias in zip(self._params[::2], self._params[1::2], strict=True):
+            for weight, bias in zip(self.weights[::2], self.weights[1::2], strict=True):
                 fan_in, fan_out = weight.shape[1:]
                 drawn = torch.empty(fan_out, fan_in, device=weight.device)
                 if self.init == "orthogonal":
@@ -119,24 +230,18 @@ class StackedMLP:
                     bias[member].uniform_(-bound, bound, generator=generator)
                 weight[member].copy_(drawn.t())
 
-    def tape(self, batch: int) -> Tape:
-        """A fresh tape for inputs of `batch` rows, to be used again and again."""
+    def take(self, shape: torch.Size) -> Pass:
+        """A pass for inputs of this shape, the one given back last where there is one: fresh memory costs as much as a
+        layer.
+        """
+        spare = self._spares.pop(shape, None)
+        return spare or Pass(self, torch.empty(shape, device=self.flat.device))
 
-        def room(*shape: int) -> Tensor:
-            return torch.empty(self.members, *shape, device=self.flat.device)
-
-        hidden = [room(batch, width) for width in self.widths[1:-1]]
-        widest = max(self.widths[1:-1], default=0)
-        return Tape(room(batch, 0), hidden, room(self.widths[-1], batch), (room(batch, widest), room(batch, widest)))
-
-    def take_tape(self, batch: int) -> Tape:
-        """The tape given back last, where it is of this size: fresh memory costs as much as a layer."""
-        spare, self._spare = self._spare, None
-        return spare[1] if spare is not None and spare[0] == batch else self.tape(batch)
-
-    def give_back(self, tape: Tape) -> None:
-        """Let the next call write into this tape."""
-        self._spare = (tape.outputs.shape[-1], tape)
+    def give_back(self, done: Pass) -> None:
+        """Let the next call of this shape have this pass."""
+        self._spares[done.given.shape] = done
+        while len(self._spares) > _SPARES:
+            del self._spares[next(iter(self._spares))]
 
     def parameters(self) -> list[Tensor]:
         """Leaves for autograd that share memory with `flat`: `[W0, b0, W1, b1, ...]`, W [N, in, out], b [N, 1, out]."""
@@ -145,9 +250,9 @@ class StackedMLP:
     def __call__(self, x: Tensor) -> Tensor:
         """Outputs float32 [N, out, B] of x, [B, in] or [N, B, in]; differentiable in `parameters()`, not in x."""
         if not torch.is_grad_enabled():
-            tape = self.take_tape(x.shape[-2])
-            outputs = self.forward(x, tape).clone()
-            self.give_back(tape)
+            here = self.take(x.shape)
+            outputs = here(x).clone()
+            self.give_back(here)
             return outputs
         return _WrittenOut.apply(self, x, *self._leaves)  # type: ignore[no-any-return, no-untyped-call]
 
@@ -163,77 +268,22 @@ class StackedMLP:
             h = torch.relu_(h) if self.activation == "relu" else nn.functional.leaky_relu_(h, LEAK)
         return torch.baddbmm(_t(params[-1]), _t(params[-2]), _t(h))
 
-    def forward(self, x: Tensor, tape: Tape) -> Tensor:
-        """Outputs [N, out, B] of x, [B, in] or [N, B, in], in the tape; x must not change before the backward pass.
-
-        The output is narrow, and matrix libraries are several times quicker when the narrow side comes first: the last
-        product, its weights and its gradient are computed transposed.
-        """
-        tape.inputs = h = x.expand(self.members, -1, -1)
-        for layer, out in enumerate(tape.hidden):
-            weight, bias = self._params[2 * layer : 2 * layer + 2]
-            with self._inner if layer else self._outer:
-                torch.bmm(h, weight, out=out)
-            if self.activation == "leaky_relu":
-                h = nn.functional.leaky_relu_(out.add_(bias), LEAK)
-            elif out.device.type == "cpu":  # one pass over memory
-                torch.ops.aten._add_relu_.Tensor(out, bias)
-                h = out
-            else:
-                h = out.add_(bias).relu_()
-        with self._outer:
-            return torch.baddbmm(self._transposed[-1], self._transposed[-2], _t(h), out=tape.outputs)
-
-    def backward_params(self, grad: Tensor, tape: Tape) -> None:
-        """Overwrite `flat_grad` with a loss' gradient, given its gradient [N, out, B] in the tape's outputs."""
-        below = tape.hidden[-1] if tape.hidden else tape.inputs
-        with self._outer:
-            torch.bmm(grad, below, out=_t(self.grads[-2]))
-        torch.sum(grad, 2, keepdim=True, out=_t(self.grads[-1]))
-        grad = _t(grad)
-        for layer in reversed(range(len(tape.hidden))):
-            grad = self._descend(layer, grad, tape)
-            below = tape.hidden[layer - 1] if layer else tape.inputs
-            with self._inner if layer else self._outer:
-                torch.bmm(_t(below), grad, out=self.grads[2 * layer])
-            torch.sum(grad, 1, keepdim=True, out=self.grads[2 * layer + 1])
-
-    def backward_inputs(self, grad: Tensor, tape: Tape, columns: slice) -> Tensor:
-        """Gradient in these columns of the tape's inputs, [N, columns, B], given that in its outputs, [N, out, B]."""
-        grad = _t(grad)
-        for layer in reversed(range(len(tape.hidden))):
-            grad = self._descend(layer, grad, tape)
-        with self._outer:
-            return torch.bmm(self._params[0][:, columns], _t(grad))
-
-    def _descend(self, layer: int, grad: Tensor, tape: Tape) -> Tensor:
-        """The gradient in the product of a hidden layer, given that in the product of the layer above."""
-        activated = tape.hidden[layer]
-        with self._inner if layer + 1 < len(tape.hidden) else self._outer:
-            delta = torch.bmm(grad, self._transposed[2 * layer + 2], out=tape.deltas[layer % 2])
-        # Both activations keep the sign of their input, so their output tells on which side it was.
-        if self.activation == "relu":
-            torch.ops.aten.threshold_backward.grad_input(delta, activated, 0, grad_input=delta)
-        else:
-            torch.ops.aten.leaky_relu_backward.grad_input(delta, activated, LEAK, True, grad_input=delta)
-        return delta
-
-
 class _WrittenOut(torch.autograd.Function):
-    """`StackedMLP.forward` and `backward_params` as one differentiable operation."""
+    """`forward` and `backward_params` of a pass as one differentiable operation."""
 
     @staticmethod
     def forward(ctx: Any, net: StackedMLP, x: Tensor, *leaves: Tensor) -> Tensor:
-        ctx.net, ctx.tape = net, net.take_tape(x.shape[-2])
+        ctx.net, ctx.here = net, net.take(x.shape)
         ctx.save_for_backward(*leaves)  # autograd refuses a backward pass after they were changed
-        return net.forward(x, ctx.tape).clone()
+        return ctx.here(x).clone()  # type: ignore[no-any-return]
 
     @staticmethod
     @torch.autograd.function.once_differentiable
     def backward(ctx: Any, grad: Tensor) -> tuple[Tensor | None, ...]:
         _ = ctx.saved_tensors
-        ctx.net.backward_params(grad, ctx.tape)
-        ctx.net.give_back(ctx.tape)
+        ctx.here.grad.copy_(grad)
+        ctx.here.backward_params()
+        ctx.net.give_back(ctx.here)
         return None, None, *(window.clone() for window in ctx.net.grads)
 
 

@@ -11,7 +11,7 @@ import typer
 from rrmctl.cli import options
 from rrmctl.cli.request import Forecast, Request, advise, duration, forecast, in_words
 from rrmctl.errors import Exit, UserError
-from rrmctl.hardware import usable_cores
+from rrm.hardware import usable_cores
 from rrmctl.terminal import stdout_console
 
 if TYPE_CHECKING:

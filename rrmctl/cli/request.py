@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from rrmctl.cli.options import split_names
 from rrmctl.errors import UserError
-from rrmctl.hardware import usable_cores
+from rrm.hardware import usable_cores
 
 if TYPE_CHECKING:
     from rich.console import Console

@@ -20,7 +20,7 @@ from rrmctl.cli.summary import finish, remaking_commands, unconfigured
 from rrmctl.cli.trust import remember, require_trust
 from rrmctl.commands import rrmctl
 from rrmctl.errors import Exit, UserError
-from rrmctl.hardware import usable_cores
+from rrm.hardware import usable_cores
 from rrmctl.terminal import console
 
 if TYPE_CHECKING:

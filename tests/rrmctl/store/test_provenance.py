@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from rrmctl.hardware import usable_cores
+from rrm.hardware import usable_cores
 from rrmctl.store.layout import Layout, RunFolder
 from rrmctl.store.provenance import code_digest, collect, made_with, read_provenance, record
 
