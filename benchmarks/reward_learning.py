@@ -16,7 +16,7 @@ from rrm.buffers.experience import Experience
 from rrm.buffers.pairs import PairRing, Preferences, StoredFeedback
 from rrm.config import AgentConfig, RewardConfig
 from rrm.envs import Spaces
-from rrm.nets.precision import rounds
+from rrm.nets.precision import multiplies
 from rrm.precision import Precision
 from rrm.rewards.ensemble import ResidualReward
 from rrm.rewards.pebble import Pebble
@@ -31,7 +31,7 @@ def lines() -> Iterator[Line]:
     """The paper's sizes in both precisions."""
     torch.set_num_threads(1)
     experience = _lived()
-    for precision in ("float32", "bfloat16") if rounds("bfloat16") else ("float32",):
+    for precision in ("float32", "bfloat16") if multiplies("bfloat16") else ("float32",):
         yield from _lines(experience, precision)
 
 

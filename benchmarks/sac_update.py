@@ -15,7 +15,7 @@ from benchmarks.lines import Line, in_turns
 from rrm.agents.sac import Sac
 from rrm.config import AgentConfig
 from rrm.envs import Spaces
-from rrm.nets.precision import rounds
+from rrm.nets.precision import multiplies
 from rrm.precision import Precision
 from rrm.seeding import Streams
 from rrm.types import Batch
@@ -30,7 +30,7 @@ def lines() -> Iterator[Line]:
     torch.set_num_threads(1)
     for config in (AgentConfig(), AgentConfig(hidden=128, batch=128)):
         paper = config == AgentConfig()
-        for precision in ("float32", "bfloat16") if rounds("bfloat16") else ("float32",):
+        for precision in ("float32", "bfloat16") if multiplies("bfloat16") else ("float32",):
             yield _line(config, precision, demanded=paper)
 
 

@@ -24,7 +24,7 @@ import torch
 from benchmarks.lines import Line, in_turns
 from rrm.checkpoint import Checkpoints
 from rrm.config import RewardConfig
-from rrm.nets.precision import rounds
+from rrm.nets.precision import multiplies
 from rrm.precision import Precision
 from rrm.sources.preferences import PreferenceReward
 from rrm.training.loop import Trainer
@@ -40,7 +40,7 @@ _MEMORY_STEPS = 1_000_000
 def lines() -> Iterator[Line]:
     """Loop, shares, checkpoint, memory, start of a worker."""
     torch.set_num_threads(1)
-    for precision in ("float32", "bfloat16") if rounds("bfloat16") else ("float32",):
+    for precision in ("float32", "bfloat16") if multiplies("bfloat16") else ("float32",):
         yield from _loop(precision)
     yield Line(item=f"resident memory, {_MEMORY_STEPS:,} steps", ours=_apart("memory"), unit="MiB", bound=1024)
     starts = [_timed_start() for _ in range(3)]

@@ -26,3 +26,13 @@ def usable_cores(quota: Path = Path("/sys/fs/cgroup/cpu.max")) -> int:
     except (OSError, ValueError):
         return cores  # no control group, or none of version 2: nothing is limited this way
     return cores if granted == "max" else max(1, min(cores, math.floor(int(granted) / int(period))))
+
+
+def extensions(cpuinfo: Path = Path("/proc/cpuinfo")) -> frozenset[str]:
+    """The processor's instruction sets by the system's names; empty where the system does not tell."""
+    try:
+        text = cpuinfo.read_text(errors="replace")
+    except OSError:
+        return frozenset()
+    lines = (line for line in text.splitlines() if line.startswith(("flags", "Features")))
+    return frozenset(next(lines, "").partition(":")[2].split())

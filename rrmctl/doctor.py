@@ -17,9 +17,8 @@ from pathlib import Path
 from typing import Literal
 
 from rrm.environ import environment
-from rrm.precision import extensions
+from rrm.hardware import cpu_model, extensions, usable_cores
 from rrmctl.errors import UserError
-from rrm.hardware import cpu_model, usable_cores
 from rrmctl.planning.experiments import SHIPPED, available
 
 DISTRIBUTION = "rrmctl"

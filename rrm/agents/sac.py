@@ -10,6 +10,7 @@ counter decides when the target moves.
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -32,46 +33,65 @@ if TYPE_CHECKING:
 
 _LARGEST = 1 - 1e-6  #: of an action whose density is asked for; float32's tanh rounds to one, where atanh is infinite
 
-tanh_backward = torch.ops.aten.tanh_backward
+_tanh_backward = torch.ops.aten.tanh_backward.grad_input
 
 LOG_STD_MIN, LOG_STD_MAX = -5.0, 2.0
-_HALF_RANGE = 0.5 * (LOG_STD_MAX - LOG_STD_MIN)
+_HALF_RANGE, _MIDDLE = 0.5 * (LOG_STD_MAX - LOG_STD_MIN), 0.5 * (LOG_STD_MAX + LOG_STD_MIN)
 _FIGURES = ("critic_loss", "actor_loss", "entropy", "alpha")  #: entropy in nats
 
 
-def _log_std(squash: Tensor) -> Tensor:
-    """From the tanh of the actor's raw output."""
-    return squash.add(1).mul_(_HALF_RANGE).add_(LOG_STD_MIN)
-
-
+@dataclass(frozen=True)
 class _Sample:
-    """Actions drawn from the actor's output, and what their gradient needs. Fields are float32 [A, B]."""
+    """Actions drawn from an actor's output, and what their gradient needs, in memory of its own. Fields are [A, B]."""
 
-    def __init__(self, head: Tensor, noise: Tensor) -> None:
-        """Args: head: the actor's output, [2 A, B]; noise: standard normal, [A, B]."""
+    mean: Tensor  #: of the actor's output
+    raw: Tensor  #: of the actor's output, a log standard deviation before it is squashed
+    noise: Tensor
+    squash: Tensor
+    log_std: Tensor
+    spread: Tensor
+    pre_tanh: Tensor
+    act: Tensor
+
+    @staticmethod
+    def of(head: Tensor, act: Tensor | None = None) -> _Sample:
+        """Room for samples of an actor's output, [2 A, B]; `act` is where the actions go, if not to fresh memory."""
         mean, raw = head.chunk(2)
-        self.noise = noise
-        self.squash = torch.tanh(raw)
-        self.log_std = _log_std(self.squash)
-        self.spread = self.log_std.exp().mul_(noise)
-        self.pre_tanh = mean + self.spread
-        self.act = torch.tanh(self.pre_tanh)
+        noise, squash, log_std, spread, pre_tanh = torch.empty(5, *mean.shape, device=head.device)
+        return _Sample(
+            mean, raw, noise, squash, log_std, spread, pre_tanh, torch.empty_like(mean) if act is None else act
+        )
+
+    def part(self, rows: slice) -> _Sample:
+        """That of these rows; it shares memory."""
+        return _Sample(*(getattr(self, name)[:, rows] for name in self.__dataclass_fields__))
+
+    def draw(self, generator: torch.Generator) -> Tensor:
+        """Fresh actions."""
+        self.noise.normal_(generator=generator)
+        torch.exp(self.squashed(), out=self.spread).mul_(self.noise)
+        torch.add(self.mean, self.spread, out=self.pre_tanh)
+        return torch.tanh(self.pre_tanh, out=self.act)
+
+    def squashed(self) -> Tensor:
+        """The log standard deviation."""
+        torch.tanh(self.raw, out=self.squash)
+        return torch.mul(self.squash, _HALF_RANGE, out=self.log_std).add_(_MIDDLE)
 
     def log_prob(self) -> Tensor:
         """Log density of the actions, float32 [B]."""
         return squashed_gaussian_log_prob(self.noise, self.log_std, self.pre_tanh)
 
-    def backward(self, grad_act: Tensor, grad_log_prob: Tensor, rows: slice) -> Tensor:
-        """Gradient in these rows of the actor's output, [2 A, rows], of a loss with these gradients in their actions
-        [A, rows] and in their log densities (one number for all).
+    def backward(self, grad_act: Tensor, grad_log_prob: Tensor, grad_mean: Tensor, grad_raw: Tensor) -> None:
+        """Write the gradient in the actor's output, [A, B] each, of a loss with these gradients in the actions, [A, B],
+        and in their log densities (one number for all).
 
         With the noise held fixed, d log_prob / d pre_tanh = 2 act (all of it from the log-determinant, the Gaussian's
         part cancels) and d log_prob / d log_std = -1 besides its effect on pre_tanh.
         """
-        act, squash = self.act[:, rows], self.squash[:, rows]
-        grad_mean = tanh_backward(grad_act, act).addcmul_(grad_log_prob, act, value=2)
-        grad_log_std = (grad_mean * self.spread[:, rows]).sub_(grad_log_prob)
-        return torch.cat((grad_mean, tanh_backward(grad_log_std, squash).mul_(_HALF_RANGE)))
+        _tanh_backward(grad_act, self.act, grad_input=grad_mean).addcmul_(grad_log_prob, self.act, value=2)
+        grad_log_std = (grad_mean * self.spread).sub_(grad_log_prob)
+        _tanh_backward(grad_log_std, self.squash, grad_input=grad_raw).mul_(_HALF_RANGE)
 
 
 class _Workspace:
@@ -88,17 +108,20 @@ class _Workspace:
         # and their rows start on cache lines.
         blocks = torch.empty(3 * batch, -(-width // 16) * 16, device=device)[:, :width]
         following, imagined, taken = torch.split(blocks, batch)
-        both = blocks[: 2 * batch]
-        self.obs = blocks[:, :obs_dim]
-        self.act, self.sampled = taken[:, obs_dim:], both[:, obs_dim:].t()
-        self.noise = torch.empty(width - obs_dim, 2 * batch, device=device)
-        self.next_rows, self.rows = slice(batch), slice(batch, None)  #: of what was sampled
-        memory, shared = Memory.of(actor, 2 * batch), Memory.of(critic, batch)
+        both, self.batch = blocks[: 2 * batch], batch
+        self.obs, self.act = blocks[:, :obs_dim], taken[:, obs_dim:]  #: of all blocks; of the last
+        rows, memory, shared = slice(batch, None), Memory.of(actor, 2 * batch), Memory.of(critic, batch)
         self.actor = Pass(actor, both[:, :obs_dim], memory)
-        self.ascent = Pass(actor, both[self.rows, :obs_dim], memory.part(self.rows))
+        self.ascent = Pass(actor, both[rows, :obs_dim], memory.part(rows))
         self.target = Pass(target, following, shared)
         self.critic = Pass(critic, taken, shared)
         self.imagined = Pass(critic, imagined, shared, columns=slice(obs_dim, None))
+        self.sample = _Sample.of(self.actor.outputs[0], both[:, obs_dim:].t())
+        self.present = self.sample.part(rows)
+        self.grad_head = self.ascent.grad[0].chunk(2)
+        self.error = torch.empty(2, batch, device=device)
+        self.q, self.q_next = self.imagined.outputs[:, 0], self.target.outputs[:, 0]
+        self.grad_q = self.critic.grad[:, 0], self.imagined.grad[:, 0]
 
 
 class Sac:
@@ -150,17 +173,15 @@ class Sac:
             "log_alpha": self.log_alpha, "figures": self._figures,
         }  # fmt: skip
         self._acting = Pass(self.actor, torch.empty(1, obs_dim, device=device))
+        self._acts = _Sample.of(self._acting.outputs[0])
         self._space = _Workspace(self.actor, self.critic, self.target, config.batch)
+        self._last: tuple[Tensor, ...] | None = None  # what the figures of the last update are made of
 
     @torch.no_grad()
     def act(self, obs: Obs, *, explore: bool) -> Floats:
-        head = self._acting(torch.as_tensor(obs.state, dtype=torch.float32))[0]
-        if explore:
-            noise = torch.randn(self.act_dim, 1, generator=self._explore, device=head.device)
-            act = _Sample(head, noise).act
-        else:
-            act = torch.tanh(head[: self.act_dim])
-        action: Floats = act[:, 0].clamp_(-1, 1).cpu().numpy()
+        self._acting(torch.as_tensor(obs.state, dtype=torch.float32))
+        act = self._acts.draw(self._explore) if explore else torch.tanh(self._acts.mean)
+        action: Floats = act[:, 0].clamp(-1, 1).cpu().numpy()
         if not np.isfinite(action).all():
             raise NumericalError(
                 f"the action after {self.updates} updates is {action.tolist()} for the observation "
@@ -171,58 +192,55 @@ class Sac:
 
     @torch.no_grad()
     def log_prob(self, obs: Tensor, act: Tensor) -> Tensor:
-        mean, raw = self.actor(obs)[0].chunk(2)
-        log_std = _log_std(torch.tanh(raw))
+        sample = _Sample.of(self.actor(obs)[0])
+        log_std = sample.squashed()
         pre_tanh = torch.atanh(act.t().clamp(-_LARGEST, _LARGEST))
-        return squashed_gaussian_log_prob((pre_tanh - mean) / log_std.exp(), log_std, pre_tanh)
+        return squashed_gaussian_log_prob((pre_tanh - sample.mean) / log_std.exp(), log_std, pre_tanh)
 
     @torch.no_grad()
     def update(self, batch: Batch) -> None:
         """One step of critic, actor and temperature; the target follows every second time, the first included."""
-        if len(self._space.act) != len(batch.reward):
+        if self._space.batch != len(batch.reward):
             self._space = _Workspace(self.actor, self.critic, self.target, len(batch.reward))
         alpha, space = self.log_alpha.exp(), self._space
         torch.cat((batch.next_obs, batch.obs, batch.obs), out=space.obs)
         space.act.copy_(batch.act)
         # One pass samples for the next observations and the present ones: the actor changes only after either was used.
-        sample = _Sample(space.actor.forward()[0], space.noise.normal_(generator=self._noise))
-        space.sampled.copy_(sample.act)
-        log_prob = sample.log_prob()
-        critic_loss = self._update_critic(batch, log_prob, alpha)
-        actor_loss, entropy = self._update_actor(sample, log_prob, alpha)
+        space.actor.forward()
+        space.sample.draw(self._noise)
+        next_log_prob, log_prob = space.sample.log_prob().chunk(2)
+        self._update_critic(batch, next_log_prob, alpha)
+        self._update_actor(alpha)
         # The loss of the temperature is alpha * (entropy - target), with target -A: its gradient in log alpha, too.
-        torch.mul(alpha, entropy + self.act_dim, out=self._log_alpha_grad)
+        torch.sub(self.act_dim, log_prob.mean(), out=self._log_alpha_grad[0]).mul_(alpha[0])
         self._adams["alpha"].step()
         if self.updates % self.config.target_every == 0:
             self.target.flat.lerp_(self.critic.flat, self.config.tau)
-        torch.stack((critic_loss, actor_loss, entropy, alpha.squeeze()), out=self._figures)
+        self._last = space.error, space.q, log_prob, alpha
         self.updates += 1
 
-    def _update_critic(self, batch: Batch, log_prob: Tensor, alpha: Tensor) -> Tensor:
-        """Regress both critics on the soft value of the next state; returns the sum of their mean squared errors."""
+    def _update_critic(self, batch: Batch, next_log_prob: Tensor, alpha: Tensor) -> None:
+        """Regress both critics on the soft value of the next state."""
         space = self._space
-        q_next = space.target.forward().squeeze(1)
-        value = torch.minimum(q_next[0], q_next[1]).addcmul_(alpha, log_prob[space.next_rows], value=-1)
-        q_target = batch.reward.addcmul(batch.continues, value, value=self.config.discount)
-        error = space.critic.forward().squeeze(1) - q_target
-        torch.mul(error, 2 / len(q_target), out=space.critic.grad.squeeze(1))
+        space.target.forward()
+        value = torch.minimum(*space.q_next).addcmul_(alpha, next_log_prob, value=-1)
+        q_target = torch.addcmul(batch.reward, batch.continues, value, value=self.config.discount)
+        torch.sub(space.critic.forward()[:, 0], q_target, out=space.error)
+        torch.mul(space.error, 2 / space.batch, out=space.grad_q[0])
         space.critic.backward_params()
         self._adams["critic"].step()
-        return error.square().sum() / len(q_target)
 
-    def _update_actor(self, sample: _Sample, log_prob: Tensor, alpha: Tensor) -> tuple[Tensor, Tensor]:
-        """Ascend the smaller Q plus entropy; returns the loss and the estimate of the entropy."""
-        space = self._space
-        q = space.imagined.forward()
-        share = -1 / q.shape[-1]
-        smaller = q[:1] <= q[1:]
-        torch.mul(torch.cat((smaller, ~smaller)), share, out=space.imagined.grad)  # only the smaller critic is asked
-        grad_act = space.imagined.backward_inputs()
-        space.ascent.grad[0].copy_(sample.backward(grad_act.sum(dim=0), -share * alpha, space.rows))
+    def _update_actor(self, alpha: Tensor) -> None:
+        """Ascend the smaller Q plus entropy."""
+        space, share = self._space, -1 / self._space.batch
+        space.imagined.forward()
+        first, second = space.grad_q[1]
+        torch.le(*space.q, out=first).mul_(share)  # only the smaller critic is asked
+        torch.sub(share, first, out=second)
+        grad_act = space.imagined.backward_inputs().sum(dim=0)
+        space.present.backward(grad_act, -share * alpha, *space.grad_head)
         space.ascent.backward_params()
         self._adams["actor"].step()
-        entropy = -log_prob[space.rows].mean()
-        return -alpha.squeeze() * entropy - torch.minimum(q[0], q[1]).mean(), entropy
 
     def reset_critic(self) -> None:
         self.critic.initialise(self._init)
@@ -237,13 +255,14 @@ class Sac:
 
     def q_target(self, batch: Batch) -> Tensor:
         with torch.no_grad():
-            noise = torch.randn(self.act_dim, len(batch.next_obs), generator=self._lookahead, device=self._noise.device)
-            sample = _Sample(self.actor(batch.next_obs)[0], noise)
-            q_next = self.target(torch.cat((batch.next_obs, sample.act.t()), dim=-1)).squeeze(1)
+            sample = _Sample.of(self.actor(batch.next_obs)[0])
+            act = sample.draw(self._lookahead).t()
+            q_next = self.target(torch.cat((batch.next_obs, act), dim=-1)).squeeze(1)
             value = torch.minimum(q_next[0], q_next[1]) - self.log_alpha.exp() * sample.log_prob()
         return batch.reward + self.config.discount * batch.continues * value
 
     def figures(self) -> dict[str, float]:
+        self._take_figures()
         figures = dict(zip(_FIGURES, self._figures.tolist(), strict=True))
         if self.updates and not all(map(math.isfinite, figures.values())):
             raise NumericalError(f"a figure of the agent is not finite: {figures}")
@@ -252,7 +271,17 @@ class Sac:
     def weights(self) -> State:
         return {"actor": self.actor.flat, "critic": self.critic.flat}
 
+    def _take_figures(self) -> None:
+        """Of the last update, if they have not been taken yet."""
+        if self._last is not None:
+            error, q, log_prob, alpha = self._last
+            entropy = -log_prob.mean()
+            actor_loss = -alpha[0] * entropy - torch.minimum(*q).mean()
+            torch.stack((error.square().sum() / error.shape[1], actor_loss, entropy, alpha[0]), out=self._figures)
+            self._last = None
+
     def state_dict(self) -> State:
+        self._take_figures()
         return {
             "updates": self.updates,
             "tensors": {name: tensor.clone() for name, tensor in self._tensors.items()},
@@ -271,4 +300,5 @@ class Sac:
             tensor.copy_(saved)
         for name, adam in self._adams.items():
             adam.load_state_dict(state["optimisers"][name])
+        self._last = None
         self.updates = state["updates"]

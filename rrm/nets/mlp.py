@@ -19,7 +19,7 @@ from torch import Tensor, nn
 from rrm.nets.products import bind
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Iterator, Sequence
 
     from rrm.nets.ways import Work
     from rrm.precision import Precision
@@ -36,9 +36,29 @@ _ALIGN = 16
 #: Passes kept by a stack for its next calls, of different numbers of rows.
 _SPARES = 2
 
-_add_relu_ = torch.ops.aten._add_relu_.Tensor
 _relu_backward = torch.ops.aten.threshold_backward.grad_input
 _leaky_relu_backward = torch.ops.aten.leaky_relu_backward.grad_input
+
+
+def _leaky(out: Tensor, bias: Tensor) -> None:
+    nn.functional.leaky_relu_(out.add_(bias), LEAK)
+
+
+def _derive_relu(delta: Tensor, activated: Tensor) -> None:
+    _relu_backward(delta, activated, 0, grad_input=delta)
+
+
+def _derive_leaky(delta: Tensor, activated: Tensor) -> None:
+    _leaky_relu_backward(delta, activated, LEAK, True, grad_input=delta)
+
+
+#: In place: an activation after adding a bias, in one pass over memory where there is such an operation; and a gradient
+#: above an activation turned into that below it.
+_ACTIVATE: dict[Activation, Callable[[Tensor, Tensor], object]] = {
+    "relu": torch.ops.aten._add_relu_.Tensor,
+    "leaky_relu": _leaky,
+}
+_DERIVE = {"relu": _derive_relu, "leaky_relu": _derive_leaky}
 
 
 @dataclass(frozen=True)
@@ -53,8 +73,10 @@ class Memory:
     def of(net: StackedMLP, rows: int) -> Memory:
         """Fresh memory for inputs of so many rows."""
 
-        def room(*shape: int) -> Tensor:
-            return torch.empty(net.members, *shape, device=net.flat.device)
+        def room(rows: int, width: int) -> Tensor:
+            # Rows a multiple of 1 KiB apart fall into the same few sets of a cache, which costs a product 5 %.
+            apart = width + _ALIGN * (width % 256 == 0)
+            return torch.zeros(net.members, rows, apart, device=net.flat.device)[..., :width]
 
         hidden = [room(rows, width) for width in net.widths[1:-1]]
         widest = max(net.widths[1:-1], default=0)
@@ -77,7 +99,9 @@ class Pass:
         columns: of the inputs that `backward_inputs` is about.
     """
 
-    def __init__(self, net: StackedMLP, inputs: Tensor, memory: Memory | None = None, columns: slice | None = None) -> None:
+    def __init__(
+        self, net: StackedMLP, inputs: Tensor, memory: Memory | None = None, columns: slice | None = None
+    ) -> None:
         self._net = net
         self.given = inputs
         self.inputs = inputs.expand(net.members, -1, -1)
@@ -111,14 +135,12 @@ class Pass:
 
     @cached_property
     def _up(self) -> list[Work]:
-        net, h, works = self._net, self.inputs, []
+        net, h = self._net, self.inputs
+        works: list[Work] = []
         for layer, out in enumerate(self._memory.hidden):
             weight, bias = net.weights[2 * layer : 2 * layer + 2]
             works.append(bind(h, weight, out, net.precision if layer else "float32"))
-            if net.activation == "relu":
-                works.append(partial(_add_relu_, out, bias))  # one pass over memory
-            else:
-                works += partial(out.add_, bias), partial(nn.functional.leaky_relu_, out, LEAK)
+            works.append(partial(_ACTIVATE[net.activation], out, bias))
             h = out
         works.append(bind(_t(net.weights[-2]), _t(h), self.outputs))
         works.append(partial(self.outputs.add_, _t(net.weights[-1])))
@@ -126,38 +148,37 @@ class Pass:
 
     @cached_property
     def _to_params(self) -> list[Work]:
-        net, hidden = self._net, self._memory.hidden
-        below = [self.inputs, *hidden]
+        net, below = self._net, [self.inputs, *self._memory.hidden]
+        ones = torch.ones(net.members, 1, self.grad.shape[2], device=self.grad.device)
         works: list[Work] = [
             bind(self.grad, below[-1], _t(net.grads[-2])),
             partial(torch.sum, self.grad, 2, keepdim=True, out=_t(net.grads[-1])),
         ]
-        grad = _t(self.grad)
-        for layer in reversed(range(len(hidden))):
-            down, grad = self._descend(layer, grad)
+        for layer, down, delta in self._descent():
             works += down
-            works.append(bind(_t(below[layer]), grad, net.grads[2 * layer], net.precision if layer else "float32"))
-            works.append(partial(torch.sum, grad, 1, keepdim=True, out=net.grads[2 * layer + 1]))
+            works.append(bind(_t(below[layer]), delta, net.grads[2 * layer], net.precision if layer else "float32"))
+            works.append(bind(ones, delta, net.grads[2 * layer + 1]))  # a sum over rows, quicker than torch's
         return works
 
     @cached_property
     def _to_inputs(self) -> tuple[list[Work], Tensor]:
-        net, grad, works = self._net, _t(self.grad), []
-        for layer in reversed(range(len(self._memory.hidden))):
-            down, grad = self._descend(layer, grad)
-            works += down
-        out = torch.empty(net.members, self._weight.shape[1], grad.shape[1], device=grad.device)
-        return [*works, bind(self._weight, _t(grad), out)], out
+        works: list[Work] = []
+        delta = _t(self.grad)
+        for _, down, below in self._descent():
+            works, delta = works + down, below
+        out = torch.empty(len(delta), self._weight.shape[1], delta.shape[1], device=delta.device)
+        return [*works, bind(self._weight, _t(delta), out)], out
 
-    def _descend(self, layer: int, grad: Tensor) -> tuple[list[Work], Tensor]:
-        """To the gradient in the product of a hidden layer, given that in the product of the layer above."""
-        net, activated, delta = self._net, self._memory.hidden[layer], self._memory.deltas[layer % 2]
-        precision = net.precision if layer + 1 < len(self._memory.hidden) else "float32"
-        product = bind(grad, _t(net.weights[2 * layer + 2]), delta, precision)
-        # Both activations keep the sign of their input, so their output tells on which side it was.
-        if net.activation == "relu":
-            return [product, partial(_relu_backward, delta, activated, 0, grad_input=delta)], delta
-        return [product, partial(_leaky_relu_backward, delta, activated, LEAK, True, grad_input=delta)], delta
+    def _descent(self) -> Iterator[tuple[int, list[Work], Tensor]]:
+        """For each hidden layer from the top, how to get the gradient in its product, and where that is put."""
+        net, hidden, grad = self._net, self._memory.hidden, _t(self.grad)
+        for layer in reversed(range(len(hidden))):
+            delta = self._memory.deltas[layer % 2]
+            precision = net.precision if layer + 1 < len(hidden) else "float32"
+            product = bind(grad, _t(net.weights[2 * layer + 2]), delta, precision)
+            # Both activations keep the sign of their input, so their output tells on which side it was.
+            yield layer, [product, partial(_DERIVE[net.activation], delta, hidden[layer])], delta
+            grad = delta
 
 
 class StackedMLP:
@@ -197,7 +218,9 @@ class StackedMLP:
         size = sum(_padded(members * math.prod(shape)) for shape in shapes)
         self.flat = torch.zeros(size, device=device)  #: all parameters; the padding between them stays zero
         self.flat_grad = torch.zeros_like(self.flat)  #: their gradients, filled by `backward_params`
-        self.weights = self._windows(self.flat, shapes)  #: and biases: `[W0, b0, W1, b1, ...]`, W [N, in, out], b [N, 1, out]
+        self.weights = self._windows(
+            self.flat, shapes
+        )  #: and biases: `[W0, b0, W1, b1, ...]`, W [N, in, out], b [N, 1, out]
         self.grads = self._windows(self.flat_grad, shapes)  #: views in the order and shapes of `parameters()`
         self._spares: dict[torch.Size, Pass] = {}
         self._leaves = [p.detach().requires_grad_() for p in self.weights]
@@ -267,6 +290,7 @@ class StackedMLP:
             h = torch.baddbmm(bias, h, weight)
             h = torch.relu_(h) if self.activation == "relu" else nn.functional.leaky_relu_(h, LEAK)
         return torch.baddbmm(_t(params[-1]), _t(params[-2]), _t(h))
+
 
 class _WrittenOut(torch.autograd.Function):
     """`forward` and `backward_params` of a pass as one differentiable operation."""

@@ -1,60 +1,35 @@
 """Matrix products of networks: each goes the way that is the quickest on this machine for its form and size.
 
-A choice is a property of the machine (`rrm.nets.tuning` measures it once) and recorded with every run, which keeps it
+A choice is a property of the machine (`rrm.tuning` measures it once) and recorded with every run, which keeps it
 when it is resumed: another way adds the same numbers up in another order.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import lru_cache, partial
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor
 
-from rrm.nets.precision import Multiplying
-from rrm.nets.ways import WAYS, Work, by_torch, fits
+from rrm.nets.precision import Multiplying, rounds
+from rrm.nets.ways import WAYS, Way, Work, by_torch, fits
+from rrm.tuning import OTHERWISE, SHAPES, Choice, Form, Shape, cell, machine
 
 if TYPE_CHECKING:
     from rrm.precision import Precision
 
-Form = Literal["forward", "weights", "inputs"]
-Shape = tuple[int, int, int]  #: rows, inputs and outputs of a layer
-
-#: Of each layer there are three: x w, x' d for the gradient in w, and d w' for that in x.
-FORMS: tuple[Form, ...] = ("forward", "weights", "inputs")
-
-#: What is measured; a product goes the way of the nearest. Acting, the laptop's sizes, the paper's, an image agent's.
-SHAPES: tuple[Shape, ...] = (
-    (1, 128, 128), (1, 256, 256), (128, 43, 128), (128, 128, 128), (128, 128, 8), (512, 43, 256), (512, 256, 256),
-    (512, 256, 8), (2048, 44, 256), (2048, 256, 256), (2048, 256, 1), (512, 1024, 1024),
-)  # fmt: skip
-
-#: The key of the way that all products go whose own is not named.
-OTHERWISE = "otherwise"
-
-Choice = Mapping[str, str]  #: names of `WAYS` by `cell(form, shape)`, and `OTHERWISE`
-
-TORCH: Choice = {OTHERWISE: "torch"}
-
 _current: Choice | None = None
-
-
-def cell(form: Form, shape: Shape) -> str:
-    """The name under which the way of a measured product is kept, such as `weights 512x256x256`."""
-    return f"{form} {'x'.join(map(str, shape))}"
 
 
 def choice() -> Choice:
     """What products made from now on go by: what `use` was given, else this machine's, which may be measured now."""
     global _current
     if _current is None:
-        from rrm.nets import tuning
-
-        _current = tuning.machine().choice
+        _current = machine().choice
     return _current
 
 
@@ -88,19 +63,41 @@ def bind(a: Tensor, b: Tensor, out: Tensor, precision: Precision = "float32") ->
     their numbers are rounded on the way in (`rrm.nets.precision`).
     """
     if precision == "bfloat16":
-        return partial(_rounding, a, b, out)
-    if out.device.type != "cpu" or torch.get_num_threads() > 1 or not fits(a, b, out):
+        return bind_rounded(a, b, out)
+    if _by_torch(a, b, out):
         return by_torch(a, b, out)
     if out.stride(2) != 1 and out.shape[2] > 1:  # its transpose lies in rows
         return bind(b.transpose(1, 2), a.transpose(1, 2), out.transpose(1, 2))
-    form, shape = _form(a, b)
+    return _way(a, b)(a, b, out)
+
+
+def _by_torch(*matrices: Tensor) -> bool:
+    """Whether this is torch's alone: another device, several threads, a stride that other libraries do not know."""
+    return any(m.device.type != "cpu" for m in matrices) or torch.get_num_threads() > 1 or not fits(*matrices)
+
+
+def _way(a: Tensor, b: Tensor) -> Way:
     chosen = choice()
-    return WAYS[chosen.get(_nearest(form, shape), chosen[OTHERWISE])](a, b, out)
+    return WAYS[chosen.get(_nearest(*_form(a, b)), chosen[OTHERWISE])]
 
 
-def _rounding(a: Tensor, b: Tensor, out: Tensor) -> None:
-    with Multiplying("bfloat16"):
-        torch.bmm(a, b, out=out)
+def bind_rounded(a: Tensor, b: Tensor, out: Tensor) -> Work:
+    """`bind` with factors rounded to bfloat16."""
+    setting = Multiplying("bfloat16")
+    if out.device.type == "cpu" and not rounds("bfloat16"):
+        left, right, product = (torch.empty_like(m, dtype=torch.bfloat16) for m in (a, b, out))
+
+        def round_first() -> None:
+            torch.bmm(left.copy_(a), right.copy_(b), out=product)
+            out.copy_(product)
+
+        return round_first
+
+    def work() -> None:
+        with setting:
+            torch.bmm(a, b, out=out)
+
+    return work
 
 
 def _form(a: Tensor, b: Tensor) -> tuple[Form, Shape]:

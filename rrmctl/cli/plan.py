@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from rrm.hardware import usable_cores
 from rrmctl.cli import options
 from rrmctl.cli.request import Forecast, Request, advise, duration, forecast, in_words
 from rrmctl.errors import Exit, UserError
-from rrm.hardware import usable_cores
 from rrmctl.terminal import stdout_console
 
 if TYPE_CHECKING:

@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from rrm.hardware import usable_cores
 from rrmctl.cli.options import split_names
 from rrmctl.errors import UserError
-from rrm.hardware import usable_cores
 
 if TYPE_CHECKING:
     from rich.console import Console

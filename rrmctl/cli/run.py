@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from rrm.hardware import usable_cores
 from rrmctl.cli import options
 from rrmctl.cli.progress import runs
 from rrmctl.cli.request import LARGE_H, Request, forecast, introduce
@@ -20,7 +21,6 @@ from rrmctl.cli.summary import finish, remaking_commands, unconfigured
 from rrmctl.cli.trust import remember, require_trust
 from rrmctl.commands import rrmctl
 from rrmctl.errors import Exit, UserError
-from rrm.hardware import usable_cores
 from rrmctl.terminal import console
 
 if TYPE_CHECKING:

@@ -17,8 +17,8 @@ from typing import Annotated, Any
 from pydantic import AfterValidator, StrictInt, StrictStr
 
 import rrm
-from rrmctl.errors import UserError
 from rrm.hardware import cpu_model
+from rrmctl.errors import UserError
 from rrmctl.store.files import DamagedError, set_aside
 from rrmctl.store.layout import RunFolder
 from rrmctl.store.records import check_version, read_json, settings, validated, write_json

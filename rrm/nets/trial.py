@@ -1,0 +1,74 @@
+"""Tries ways to a product, and prints what it found of each as soon as it has: some may end the process.
+
+    python -m rrm.nets.trial WAY ...
+
+Each line is a JSON object: `way`; `rates`, operations a second by cell; `refused`, why the way is not to be taken.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import sys
+import time
+from collections.abc import Sequence
+
+import torch
+
+from rrm.nets.products import bind_rounded
+from rrm.nets.precision import multiplies
+from rrm.nets.ways import WAYS, MklKernel, Work
+from rrm.tuning import FORMS, ROUNDED, SHAPES, cell
+
+_TURNS, _TURN_S = 3, 0.002
+
+#: The largest error of one sum of products of normal numbers, over the root of how many there are: what float32 explains
+#: with room for any order of adding up, and what factors rounded to bfloat16 do.
+_ERROR = {False: 2.0**-15, True: 2.0**-3}
+
+
+def main(names: Sequence[str]) -> None:
+    """Try the ways of these names in turn."""
+    torch.set_num_threads(1)
+    for name in names:
+        rates, refused = attempt(name)
+        print(json.dumps({"way": name, "rates": rates, "refused": refused}), flush=True)  # noqa: T201
+
+
+def attempt(name: str) -> tuple[dict[str, float], str]:
+    """Rates of one way by cell, and why it is not to be taken; empty where it is."""
+    way = bind_rounded if name == ROUNDED else WAYS[name]
+    if isinstance(way, MklKernel) and not way.there() or name == ROUNDED and not multiplies("bfloat16"):
+        return {}, "this processor or this torch does not have it"
+    rates = {}
+    generator = torch.Generator().manual_seed(0)
+    for shape in SHAPES:
+        rows, inputs, outputs = shape
+        x, d = (torch.randn(1, rows, width, generator=generator) for width in (inputs, outputs))
+        w = torch.randn(1, inputs, outputs, generator=generator)
+        for form in FORMS:
+            a, b = {"forward": (x, w), "weights": (x.mT, d), "inputs": (d, w.mT)}[form]
+            out = torch.empty(1, a.shape[1], b.shape[2])
+            work = way(a, b, out)
+            work()
+            error = (out - a.double() @ b.double()).abs().max().item()
+            if not error <= _ERROR[name == ROUNDED] * math.sqrt(a.shape[2]):
+                return {}, f"its products are not exact: {cell(form, shape)} is off by {error:.1g}"
+            rates[cell(form, shape)] = 2.0 * rows * inputs * outputs / _seconds(work)
+    return rates, ""
+
+
+def _seconds(work: Work) -> float:
+    """A call in the best of a few turns."""
+    best = math.inf
+    for _ in range(_TURNS):
+        calls, start = 0, time.perf_counter()
+        while (passed := time.perf_counter() - start) < _TURN_S or not calls:
+            work()
+            calls += 1
+        best = min(best, passed / calls)
+    return best
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])
