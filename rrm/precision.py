@@ -2,20 +2,24 @@
 
 from __future__ import annotations
 
-from functools import cache
 from typing import Annotated, Literal
 
-from pydantic import BeforeValidator
+from pydantic import BeforeValidator, ValidationInfo
 
 from rrm.tuning import machine
 
 Precision = Literal["float32", "bfloat16"]
 
+
+def _meant(value: object, info: ValidationInfo) -> object:
+    agent = info.data.get("agent")  # validated before; missing where it is wrong, which is said then
+    return native_precision(agent.batch, agent.hidden) if value == "auto" and agent is not None else value
+
+
 #: A setting that may also be "auto"; what is stored is what that meant on the machine that planned the run.
-PrecisionSetting = Annotated[Precision, BeforeValidator(lambda value: native_precision() if value == "auto" else value)]
+PrecisionSetting = Annotated[Precision, BeforeValidator(_meant)]
 
 
-@cache
-def native_precision() -> Precision:
-    """bfloat16 where products in it were measured to be so much quicker on this machine that it pays."""
-    return "float32" if machine().rounding_pays is None else "bfloat16"
+def native_precision(batch: int, hidden: int) -> Precision:
+    """bfloat16 where products of such layers in it were measured to be so much quicker on this machine that it pays."""
+    return "bfloat16" if machine().rounding_pays((batch, hidden, hidden)) else "float32"

@@ -64,6 +64,16 @@ def cell(form: Form, shape: Shape) -> str:
     return f"{form} {'x'.join(map(str, shape))}"
 
 
+@cache
+def nearest(shape: Shape) -> Shape:
+    """The measured shape whose sides are closest in proportion."""
+
+    def distance(other: Shape) -> float:
+        return sum(abs(math.log(mine / theirs)) for mine, theirs in zip(shape, other, strict=True))
+
+    return min(SHAPES, key=distance)
+
+
 @dataclass(frozen=True)
 class Machine:
     """What was measured here."""
@@ -89,16 +99,13 @@ class Machine:
         way = max(self._exact, key=lambda way: self.rates[way][cell])
         return way, self.rates[way][cell]
 
-    @property
-    def rounding_pays(self) -> float | None:
-        """How many times as quick as exact products those in bfloat16 are at the paper's sizes; None where it is no
-        reason to round.
-        """
+    def rounding_pays(self, shape: Shape) -> bool:
+        """Whether products of a layer in bfloat16 are so much quicker than exact ones that they are a reason to round."""
         if ROUNDED not in self.rates:
-            return None
-        cells = [cell(form, (512, 256, 256)) for form in FORMS]
+            return False
+        cells = [cell(form, nearest(shape)) for form in FORMS]
         gain = math.prod(self.rates[ROUNDED][name] / self.best(name)[1] for name in cells) ** (1 / len(cells))
-        return gain if gain >= _PAYS else None
+        return gain >= _PAYS
 
     @property
     def _exact(self) -> dict[str, Mapping[str, float]]:

@@ -35,9 +35,10 @@ KNOW_RRM = {
     *("running.config_file", "running.worker"),  # a configuration's way into the process that trains
     "cli.prior",  # candidates of a language model become priors of the library
 }
-#: Light, and the one place for what they say: the version, tasks and how they are scored, errors, files, arithmetic.
+#: Light, and the one place for what they say: the version, tasks and how they are scored, errors, files, the machine.
 FACTS = {
-    *("rrm", "rrm.envs.tasks", "rrm.errors", "rrm.files", "rrm.parquet", "rrm.precision", "rrm.environ", "rrm.toml")
+    *("rrm", "rrm.envs.tasks", "rrm.errors", "rrm.files", "rrm.parquet", "rrm.environ", "rrm.toml"),
+    *("rrm.hardware", "rrm.precision", "rrm.tuning"),
 }
 
 #: Floors of either package: a module imports from floors below its own, or from its own room (the first part of its

@@ -6,10 +6,8 @@ when it is resumed: another way adds the same numbers up in another order.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
 from contextlib import contextmanager
-from functools import lru_cache, partial
 from typing import TYPE_CHECKING
 
 import torch
@@ -17,7 +15,7 @@ from torch import Tensor
 
 from rrm.nets.precision import Multiplying, rounds
 from rrm.nets.ways import WAYS, Way, Work, by_torch, fits
-from rrm.tuning import OTHERWISE, SHAPES, Choice, Form, Shape, cell, machine
+from rrm.tuning import OTHERWISE, Choice, Form, Shape, cell, machine, nearest
 
 if TYPE_CHECKING:
     from rrm.precision import Precision
@@ -42,7 +40,6 @@ def use(chosen: Choice | None) -> None:
     for way in (chosen or {}).values():
         WAYS[way]
     _current = chosen
-    _nearest.cache_clear()
 
 
 @contextmanager
@@ -77,8 +74,8 @@ def _by_torch(*matrices: Tensor) -> bool:
 
 
 def _way(a: Tensor, b: Tensor) -> Way:
-    chosen = choice()
-    return WAYS[chosen.get(_nearest(*_form(a, b)), chosen[OTHERWISE])]
+    chosen, (form, shape) = choice(), _form(a, b)
+    return WAYS[chosen.get(cell(form, nearest(shape)), chosen[OTHERWISE])]
 
 
 def bind_rounded(a: Tensor, b: Tensor, out: Tensor) -> Work:
@@ -108,11 +105,3 @@ def _form(a: Tensor, b: Tensor) -> tuple[Form, Shape]:
     if b.stride(2) != 1 and columns > 1:
         return "inputs", (rows, columns, inner)
     return "forward", (rows, inner, columns)
-
-
-@lru_cache(maxsize=4096)
-def _nearest(form: Form, shape: Shape) -> str:
-    def distance(other: Shape) -> float:
-        return sum(abs(math.log(mine / theirs)) for mine, theirs in zip(shape, other, strict=True))
-
-    return cell(form, min(SHAPES, key=distance))

@@ -15,8 +15,8 @@ from collections.abc import Sequence
 
 import torch
 
-from rrm.nets.products import bind_rounded
 from rrm.nets.precision import multiplies
+from rrm.nets.products import bind_rounded
 from rrm.nets.ways import WAYS, MklKernel, Work
 from rrm.tuning import FORMS, ROUNDED, SHAPES, cell
 
@@ -38,7 +38,7 @@ def main(names: Sequence[str]) -> None:
 def attempt(name: str) -> tuple[dict[str, float], str]:
     """Rates of one way by cell, and why it is not to be taken; empty where it is."""
     way = bind_rounded if name == ROUNDED else WAYS[name]
-    if isinstance(way, MklKernel) and not way.there() or name == ROUNDED and not multiplies("bfloat16"):
+    if (isinstance(way, MklKernel) and not way.there()) or (name == ROUNDED and not multiplies("bfloat16")):
         return {}, "this processor or this torch does not have it"
     rates = {}
     generator = torch.Generator().manual_seed(0)

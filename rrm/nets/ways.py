@@ -17,8 +17,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from rrm.nets.precision import Multiplying
 from rrm.hardware import extensions
+from rrm.nets.precision import Multiplying
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

@@ -1,4 +1,4 @@
-"""The precision of a run is one of two; "auto" is read off the processor."""
+"""The precision of a run is one of two; "auto" is what was measured."""
 
 from pathlib import Path
 
@@ -6,19 +6,31 @@ import pytest
 from pydantic import ValidationError
 
 from rrm import precision
+from rrm.hardware import extensions
+from rrm.tuning import FORMS, ROUNDED, SHAPES, Machine, cell
 from tests.rrm.training.test_run_config import run
 
 
-@pytest.mark.parametrize(("flags", "best"), [("fpu amx_bf16", "bfloat16"), ("fpu avx512_bf16", "float32")])
-def test_auto_is_what_the_machine_has(monkeypatch: pytest.MonkeyPatch, flags: str, best: str) -> None:
-    """What is stored, and enters the identity, is the arithmetic and not the word."""
-    monkeypatch.setattr(precision, "extensions", lambda: frozenset(flags.split()))
-    precision.native_precision.cache_clear()
-    try:
-        assert run(precision="auto").precision == best
-        assert run(precision="auto").identity == run(precision=best).identity
-    finally:
-        precision.native_precision.cache_clear()
+def measured(rounded: float) -> Machine:
+    """A machine whose exact products are of rate 1 and whose rounded ones of this rate, from batches of 512 on."""
+    cells = {cell(form, shape): shape for form in FORMS for shape in SHAPES}
+    slow_at_small = {name: rounded if shape[0] >= 512 else 0.5 for name, shape in cells.items()}
+    return Machine({"torch": dict.fromkeys(cells, 1.0), ROUNDED: slow_at_small})
+
+
+@pytest.mark.parametrize(("rounded", "best"), [(2.0, "bfloat16"), (1.1, "float32")])
+def test_auto_is_what_pays_on_the_machine(monkeypatch: pytest.MonkeyPatch, rounded: float, best: str) -> None:
+    """What is stored, and enters the identity, is the arithmetic and not the word; it depends on the sizes."""
+    monkeypatch.setattr(precision, "machine", lambda: measured(rounded))
+    assert run(precision="auto").precision == best
+    assert run(precision="auto").identity == run(precision=best).identity
+    assert run(precision="auto", agent={"batch": 128, "hidden": 128}).precision == "float32"
+
+
+def test_auto_without_rounded_products(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where the processor has none, there is nothing to gain."""
+    monkeypatch.setattr(precision, "machine", lambda: Machine({"torch": measured(1.0).rates["torch"]}))
+    assert run(precision="auto").precision == "float32"
 
 
 def test_precision_is_part_of_the_identity() -> None:
@@ -35,4 +47,4 @@ def test_an_unknown_precision_is_refused() -> None:
 
 def test_a_system_that_does_not_tell(tmp_path: Path) -> None:
     """Without a description of the processor there are no extensions."""
-    assert precision.extensions(tmp_path / "absent") == frozenset()
+    assert extensions(tmp_path / "absent") == frozenset()
