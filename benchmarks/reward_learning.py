@@ -11,7 +11,7 @@ import numpy as np
 import torch
 
 from benchmarks.lines import Line, in_turns
-from benchmarks.sac_update import ACT, OBS, product
+from benchmarks.sac_update import ACT, OBS, product_rate
 from rrm.buffers.experience import Experience
 from rrm.buffers.pairs import PairRing, Preferences, StoredFeedback
 from rrm.config import AgentConfig, RewardConfig
@@ -39,14 +39,8 @@ def _lines(experience: Experience, precision: Precision) -> Iterator[Line]:
     reward = ResidualReward(CONFIG, OBS, ACT, torch.Generator().manual_seed(0), precision)
     learner = Pebble(reward, CONFIG, np.random.default_rng(0))
     labels = _labelled(experience)
-    epoch_s, relabel_s, product_s = in_turns(
-        lambda: learner.fit(labels),
-        lambda: experience.relabel(reward.predict),
-        product(AgentConfig(), precision),
-        turns=3,
-    )
-    agent = AgentConfig()
-    rate = 2.0 * agent.batch * agent.hidden**2 / product_s
+    epoch_s, relabel_s = in_turns(lambda: learner.fit(labels), lambda: experience.relabel(reward.predict), turns=3)
+    rate = product_rate(AgentConfig(), precision)
     forward, backward = _flop_per_row()
     least = 0.70 if precision == "float32" else None
     steps = 2 * SEGMENT * LABELS
