@@ -9,7 +9,6 @@ from __future__ import annotations
 import argparse
 import importlib
 import json
-import platform
 import sys
 from collections.abc import Sequence
 from dataclasses import asdict
@@ -17,6 +16,7 @@ from pathlib import Path
 
 from rich.console import Console
 from rich.table import Table
+from rrmctl.hardware import cpu_model
 
 from benchmarks.lines import Line
 
@@ -26,13 +26,13 @@ BENCHMARKS = ("sac_update", "reward_learning", "training_loop", "bootstrap", "co
 
 def table(lines: Sequence[Line]) -> Table:
     """The lines, with what was asked of each and whether it holds."""
-    out = Table("item", "ours", "peer", "ratio", "floor", "share", "asked", "met", title=platform.processor() or None)
+    out = Table("item", "ours", "peers", "best", "ratio", "floor", "share", "asked", "met", title=cpu_model())
     for line in lines:
-        peer = f"{line.theirs:.4g} {line.unit} ({line.peer})" if line.theirs is not None else ""
         out.add_row(
             f"{line.item} [dim]{line.note}[/]" if line.note else line.item,
             f"{line.ours:.4g} {line.unit}",
-            peer,
+            "\n".join(f"{figure:.4g} {line.unit} ({peer})" for peer, figure in line.peers.items()),
+            line.best,
             "" if line.ratio is None else f"{line.ratio:.3g}",
             "" if line.floor is None else f"{line.floor:.4g} {line.unit}",
             "" if line.share is None else f"{line.share:.0%}",
@@ -56,7 +56,9 @@ def main() -> None:
         lines += importlib.import_module(f"benchmarks.{name}").lines()
     Console(width=None if sys.stdout.isatty() else 160).print(table(lines))
     if args.json:
-        args.json.write_text(json.dumps([asdict(line) | {"met": line.met} for line in lines], indent=1) + "\n")
+        args.json.write_text(
+            json.dumps([asdict(line) | {"best": line.best, "met": line.met} for line in lines], indent=1) + "\n"
+        )
 
 
 if __name__ == "__main__":

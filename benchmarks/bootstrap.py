@@ -64,7 +64,7 @@ def _line(item: str, scores: Floats, turns: int) -> Line:
     if answers:
         _check(ours(), resample(strata, Iqm(), rng=np.random.default_rng(1), replicates=_MANY), answers)
     return Line(
-        item=item, ours=rates[0], unit="/s", floor=rates[1], peer="rliable", theirs=rates[2] if answers else None,
+        item=item, ours=rates[0], unit="/s", floor=rates[1], peers={"rliable": rates[2]} if answers else {},
         least_ratio=100.0, note=f"{REPLICATES:,} replicates",
     )  # fmt: skip
 

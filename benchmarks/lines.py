@@ -6,10 +6,14 @@ or throttled machine slows both alike; the figure is the median over the turns.
 
 from __future__ import annotations
 
+import os
 import statistics
+import sys
 import time
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field
+from pathlib import Path
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -19,10 +23,9 @@ class Line:
     item: str
     ours: float
     unit: str  #: "/s" and "x" want more; "s", "ms", "MiB" and "%" want less
-    peer: str = ""  #: whose figure `theirs` is
-    theirs: float | None = None
+    peers: Mapping[str, float] = field(default_factory=dict)  #: figures of the others by name, in the same unit
     floor: float | None = None  #: what the machine's arithmetic alone would allow, in the same unit
-    least_ratio: float | None = None  #: of ours to the peer's
+    least_ratio: float | None = None  #: of ours to the best peer's
     least_share: float | None = None  #: of the floor
     bound: float | None = None  #: of ours itself: at least for rates, at most for times and memory
     note: str = ""
@@ -31,20 +34,26 @@ class Line:
     def _more_is_better(self) -> bool:
         return self.unit in ("/s", "x")
 
-    def _over(self, other: float | None) -> float | None:
-        if other is None:
-            return None
+    def _over(self, other: float) -> float:
         return self.ours / other if self._more_is_better else other / self.ours
 
     @property
+    def best(self) -> str:
+        """Whose figure is the best: "ours", or a peer's name; empty where there is no peer."""
+        if not self.peers:
+            return ""
+        figures = {"ours": self.ours, **self.peers}
+        return (max if self._more_is_better else min)(figures, key=figures.__getitem__)
+
+    @property
     def ratio(self) -> float | None:
-        """How many times better than the peer."""
-        return self._over(self.theirs)
+        """How many times better than the best peer; None without one."""
+        return min(map(self._over, self.peers.values()), default=None)
 
     @property
     def share(self) -> float | None:
         """How much of what the machine allows is reached, as a fraction."""
-        return self._over(self.floor)
+        return None if self.floor is None else self._over(self.floor)
 
     @property
     def met(self) -> bool | None:
@@ -63,7 +72,7 @@ class Line:
         """The demands in words."""
         parts = []
         if self.least_ratio is not None:
-            parts.append(f"≥ {self.least_ratio:g} x peer")
+            parts.append(f"≥ {self.least_ratio:g} x best peer")
         if self.least_share is not None:
             parts.append(f"≥ {self.least_share:.0%} of floor")
         if self.bound is not None:
@@ -71,8 +80,31 @@ class Line:
         return ", ".join(parts)
 
 
+@contextmanager
+def one_core() -> Iterator[None]:
+    """Holds this process, its threads and those they start to one core, where the system (Linux) can do that.
+
+    A library that counts the cores when it is first used then starts no more threads than one core can use.
+    """
+    if sys.platform != "linux":
+        yield
+        return
+    before = os.sched_getaffinity(0)
+    _hold_threads_to({max(before)})
+    try:
+        yield
+    finally:
+        _hold_threads_to(before)
+
+
+def _hold_threads_to(cores: set[int]) -> None:
+    for thread in Path("/proc/self/task").iterdir():
+        with suppress(ProcessLookupError):  # it has ended since
+            os.sched_setaffinity(int(thread.name), cores)
+
+
 def seconds(work: Callable[[], object], budget: float) -> float:
-    """Processor seconds per call of this process, averaged over about `budget` seconds (at least one call)."""
+    """Processor seconds per call, of all threads of this process: the mean over about `budget` seconds, or one call."""
     calls, start = 0, time.process_time()
     while True:
         work()

@@ -100,7 +100,7 @@ class Machine:
         return way, self.rates[way][cell]
 
     def rounding_pays(self, shape: Shape) -> bool:
-        """Whether products of a layer in bfloat16 are so much quicker than exact ones that they are a reason to round."""
+        """Whether products of a layer in bfloat16 are so much quicker than exact ones that they are worth it."""
         if ROUNDED not in self.rates:
             return False
         cells = [cell(form, nearest(shape)) for form in FORMS]

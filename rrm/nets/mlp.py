@@ -1,9 +1,9 @@
 """Several independent MLPs of one shape, stacked so that each layer is one batched matrix product.
 
 The parameters of a stack lie in one flat buffer: an optimiser step or a Polyak average is then a single operation.
-A `Pass` is a way through a stack and back with everything at a fixed place in memory; both directions are written out,
-and only gradients asked for are computed. Calling a stack makes passes under autograd. `plain` is the reference, ordinary
-differentiable code that takes the parameters as an argument; the tests compare all of them, and with `torch.nn.Linear`.
+A `Pass` is a way through a stack and back with everything at a fixed place in memory; both directions are written out
+and compute only the gradients asked for. Calling a stack makes passes under autograd. `plain` is the reference, ordinary
+differentiable code that takes the parameters as an argument; the tests compare all of them, and with `nn.Linear`.
 """
 
 from __future__ import annotations

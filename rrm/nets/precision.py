@@ -1,9 +1,9 @@
 """In which arithmetic networks multiply.
 
 With `bfloat16` everything stays stored in float32; the two factors of a product between hidden layers are rounded to
-bfloat16 (8 bits of mantissa) on the way in, and its sums are taken in float32. Where torch does not round by itself, the
-sums are rounded once more on the way out. First and last layers, where the
-rounding would touch observations, actions and values directly and where there is little to gain, multiply in float32.
+bfloat16 (8 bits of mantissa) on the way in, and its sums are taken in float32. Where torch does not round by itself,
+the sums are rounded once more on the way out. First and last layers, where the rounding would touch observations,
+actions and values directly and where there is little to gain, multiply in float32.
 """
 
 from __future__ import annotations

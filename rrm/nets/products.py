@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from contextvars import ContextVar, Token
 from typing import TYPE_CHECKING
 
 import torch
@@ -20,37 +21,32 @@ from rrm.tuning import OTHERWISE, Choice, Form, Shape, cell, machine, nearest
 if TYPE_CHECKING:
     from rrm.precision import Precision
 
-_current: Choice | None = None
+_CHOICE: ContextVar[Choice | None] = ContextVar("choice", default=None)
 
 
 def choice() -> Choice:
     """What products made from now on go by: what `use` was given, else this machine's, which may be measured now."""
-    global _current
-    if _current is None:
-        _current = machine().choice
-    return _current
+    return _CHOICE.get() or machine().choice
 
 
-def use(chosen: Choice | None) -> None:
-    """Make the products of this process by this choice; None: by the machine's own.
+def use(chosen: Choice | None) -> Token[Choice | None]:
+    """Make products by this choice from now on; None: by the machine's own.
 
     Raises KeyError where a way is none of `WAYS`.
     """
-    global _current
     for way in (chosen or {}).values():
         WAYS[way]
-    _current = chosen
+    return _CHOICE.set(chosen)
 
 
 @contextmanager
 def using(chosen: Choice) -> Iterator[None]:
     """`use` for the length of a block."""
-    before = _current
-    use(chosen)
+    before = use(chosen)
     try:
         yield
     finally:
-        use(before)
+        _CHOICE.reset(before)
 
 
 def bind(a: Tensor, b: Tensor, out: Tensor, precision: Precision = "float32") -> Work:

@@ -22,8 +22,8 @@ from rrm.tuning import FORMS, ROUNDED, SHAPES, cell
 
 _TURNS, _TURN_S = 3, 0.002
 
-#: The largest error of one sum of products of normal numbers, over the root of how many there are: what float32 explains
-#: with room for any order of adding up, and what factors rounded to bfloat16 do.
+#: The largest error of one sum of products of normal numbers, over the root of how many there are: what float32
+#: explains, with room for any order of adding up, and what factors rounded to bfloat16 do.
 _ERROR = {False: 2.0**-15, True: 2.0**-3}
 
 

@@ -1,8 +1,8 @@
-"""The ways to a matrix product in float32 on a processor: all compute the same sums, in another order and at another pace.
+"""The ways to a matrix product in float32 on a processor: the same sums, in another order and at another pace.
 
 torch hands its products to MKL, which keeps its quickest kernels for Intel's processors: on others they run at half the
-rate. The same kernels answer to their own names (`mkl-avx512`, `mkl-avx2`); oneDNN and numpy's BLAS have theirs. None is
-the quickest everywhere, so `rrm.tuning` measures them and `rrm.nets.products` takes the quickest.
+rate. The same kernels answer to their own names (`mkl-avx512`, `mkl-avx2`); oneDNN and numpy's BLAS are others. None is
+the quickest everywhere, so `rrm.tuning` has them measured and `rrm.nets.products` goes by that.
 """
 
 from __future__ import annotations
@@ -74,11 +74,12 @@ def _call(kernel: Callable[..., object], calls: Sequence[tuple[object, ...]], _o
 
 
 def _arguments(a: Tensor, b: Tensor, out: Tensor) -> tuple[object, ...]:
-    """As BLAS' `sgemm` takes them, which counts by columns: a row-major `out` is to it the transposed product, b' a'."""
+    """As BLAS' `sgemm` takes them. It counts by columns: a row-major `out` is to it the transposed product, b' a'."""
     (trans_a, step_a), (trans_b, step_b), (_, step_out) = map(_layout, (a, b, out))
     return (
         c_char_p(trans_b), c_char_p(trans_a), *(byref(c_int64(size)) for size in (b.shape[1], len(a), len(b))),
-        byref(c_float(1)), c_void_p(b.data_ptr()), byref(c_int64(step_b)), c_void_p(a.data_ptr()), byref(c_int64(step_a)),
+        byref(c_float(1)), c_void_p(b.data_ptr()), byref(c_int64(step_b)),
+        c_void_p(a.data_ptr()), byref(c_int64(step_a)),
         byref(c_float(0)), c_void_p(out.data_ptr()), byref(c_int64(step_out)),
     )  # fmt: skip
 

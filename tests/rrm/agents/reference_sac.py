@@ -28,17 +28,17 @@ def unstack(net: StackedMLP) -> nn.ModuleList:
 
 
 class ReferenceSac:
-    """Textbook soft actor-critic, started from the given networks."""
+    """Textbook soft actor-critic, started from the given networks; `fused` is torch's Adam in one kernel."""
 
-    def __init__(self, config: AgentConfig, actor: StackedMLP, critic: StackedMLP) -> None:
+    def __init__(self, config: AgentConfig, actor: StackedMLP, critic: StackedMLP, *, fused: bool = False) -> None:
         self.config = config
         self.actor = unstack(actor)[0]
         self.critics = unstack(critic)
         self.targets = copy.deepcopy(self.critics)
         self.log_alpha = torch.tensor(math.log(config.initial_alpha), requires_grad=True)
-        self.actor_adam = torch.optim.Adam(self.actor.parameters(), config.actor_lr)
-        self.critic_adam = torch.optim.Adam(self.critics.parameters(), config.critic_lr)
-        self.alpha_adam = torch.optim.Adam([self.log_alpha], config.alpha_lr)
+        self.actor_adam = torch.optim.Adam(self.actor.parameters(), config.actor_lr, fused=fused)
+        self.critic_adam = torch.optim.Adam(self.critics.parameters(), config.critic_lr, fused=fused)
+        self.alpha_adam = torch.optim.Adam([self.log_alpha], config.alpha_lr, fused=fused)
         self.updates = 0
 
     def sample(self, obs: Tensor, noise: Tensor) -> tuple[Tensor, Tensor]:
