@@ -16,9 +16,9 @@ from pathlib import Path
 
 from rich.console import Console
 from rich.table import Table
-from rrmctl.hardware import cpu_model
 
 from benchmarks.lines import Line
+from rrm.hardware import cpu_model
 
 #: In the order of the table; everything runs on one core unless its module says otherwise.
 BENCHMARKS = ("sac_update", "reward_learning", "training_loop", "bootstrap", "commands", "sweep")

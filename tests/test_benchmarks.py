@@ -15,12 +15,12 @@ import pytest
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 from rich.console import Console
-from rrmctl.hardware import cpu_model
 
 from benchmarks.__main__ import table
 from benchmarks.lines import Line, one_core
 from benchmarks.sac_update import peers, product_rate
 from rrm.config import AgentConfig
+from rrm.hardware import cpu_model
 
 ROOT = Path(__file__).parents[1]
 TINY = AgentConfig(hidden=8, layers=1, batch=8)

@@ -2,7 +2,7 @@
 
 The parameters of a stack lie in one flat buffer: an optimiser step or a Polyak average is then a single operation.
 A `Pass` is a way through a stack and back with everything at a fixed place in memory; both directions are written out
-and compute only the gradients asked for. Calling a stack makes passes under autograd. `plain` is the reference, ordinary
+and compute only the gradients asked for. Calling a stack makes passes under autograd. `plain` is the reference, plain
 differentiable code that takes the parameters as an argument; the tests compare all of them, and with `nn.Linear`.
 """
 
