@@ -20,7 +20,8 @@ from rrm.agents.sac import Sac
 from rrm.config import AgentConfig
 from rrm.envs import Spaces
 from rrm.nets.precision import multiplies
-from rrm.nets.ways import WAYS, Work
+from rrm.nets.program import Work
+from rrm.nets.ways import WAYS
 from rrm.precision import Precision
 from rrm.seeding import Streams
 from rrm.tuning import machine

@@ -1,19 +1,21 @@
-"""Adam over one flat tensor: a whole network is updated by a single fused operation."""
+"""Adam over one flat tensor: a whole network is updated by a single operation."""
 
 from __future__ import annotations
 
+import math
+
+import numpy as np
 import torch
 from torch import Tensor
 
+from rrm.nets.program import ADAM, Coded
 from rrm.types import State
+
+_BETAS, _EPSILON = (0.9, 0.999), 1e-8
 
 
 class FlatAdam:
-    """Adam (betas 0.9 and 0.999, epsilon 1e-8, no weight decay) for one tensor and the buffer its gradient lies in.
-
-    The operation is the one behind `torch.optim.Adam(fused=True)`, called directly: the class around it costs as much
-    time as the update of a small network.
-    """
+    """Adam (betas 0.9 and 0.999, epsilon 1e-8, no weight decay) for one tensor and the buffer its gradient lies in."""
 
     def __init__(self, param: Tensor, grad: Tensor, lr: float) -> None:
         """Args: param, grad: float32 of one shape, updated and read in place; lr: step size."""
@@ -22,26 +24,37 @@ class FlatAdam:
         self.lr = lr
         self._mean = torch.zeros_like(param)
         self._square = torch.zeros_like(param)
-        self._steps = torch.zeros((), device=param.device)
+        self._steps = 0
+        self._factors = np.zeros(2, np.float32)  # step size and root, both with the bias of the moments taken out
+        places = [part.data_ptr() for part in (param, grad, self._mean, self._square)]
+        self._work = Coded([(ADAM, *places, param.numel(), self._factors.ctypes.data)], self)
 
     @torch.no_grad()
     def step(self) -> None:
         """One step along the gradient now in the buffer."""
         self._steps += 1
+        if self.param.device.type == "cpu":
+            first, second = (1 - beta**self._steps for beta in _BETAS)
+            self._factors[:] = self.lr / first, 1 / math.sqrt(second)
+            self._work()
+            return
+        steps = torch.full((), float(self._steps), device=self.param.device)
         torch._fused_adam_(
-            [self.param], [self.grad], [self._mean], [self._square], [], [self._steps],
-            lr=self.lr, beta1=0.9, beta2=0.999, weight_decay=0.0, eps=1e-8, amsgrad=False, maximize=False,
+            [self.param], [self.grad], [self._mean], [self._square], [], [steps],
+            lr=self.lr, beta1=_BETAS[0], beta2=_BETAS[1], weight_decay=0.0, eps=_EPSILON, amsgrad=False, maximize=False,
         )  # fmt: skip
 
     def reset(self) -> None:
-        for moment in (self._mean, self._square, self._steps):
-            moment.zero_()
+        self._mean.zero_()
+        self._square.zero_()
+        self._steps = 0
 
     def state_dict(self) -> State:
         """Both moments and the number of steps; the parameters belong to their network."""
-        return {"mean": self._mean.clone(), "square": self._square.clone(), "steps": self._steps.clone()}
+        steps = torch.tensor(float(self._steps))
+        return {"mean": self._mean.clone(), "square": self._square.clone(), "steps": steps}
 
     def load_state_dict(self, state: State) -> None:
         self._mean.copy_(state["mean"])
         self._square.copy_(state["square"])
-        self._steps.copy_(state["steps"])
+        self._steps = int(state["steps"])

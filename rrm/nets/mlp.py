@@ -10,24 +10,21 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import cached_property
 from typing import TYPE_CHECKING, Any, Literal
 
 import torch
 from torch import Tensor, nn
 
 from rrm.nets.products import bind
+from rrm.nets.program import LEAK, Activation, Work, activate, add_to_rows, fuse, sum_rows, undo
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
+    from collections.abc import Iterator, Sequence
 
-    from rrm.nets.ways import Work
     from rrm.precision import Precision
 
-Activation = Literal["relu", "leaky_relu"]
 Init = Literal["orthogonal", "torch"]
-
-LEAK = 0.01  #: slope of leaky_relu below zero
 
 #: Every parameter starts on a cache line, so that results do not depend on the sizes of its neighbours.
 _ALIGN = 16
@@ -35,30 +32,6 @@ _ALIGN = 16
 
 #: Passes kept by a stack for its next calls, of different numbers of rows.
 _SPARES = 2
-
-_relu_backward = torch.ops.aten.threshold_backward.grad_input
-_leaky_relu_backward = torch.ops.aten.leaky_relu_backward.grad_input
-
-
-def _leaky(out: Tensor, bias: Tensor) -> None:
-    nn.functional.leaky_relu_(out.add_(bias), LEAK)
-
-
-def _derive_relu(delta: Tensor, activated: Tensor) -> None:
-    _relu_backward(delta, activated, 0, grad_input=delta)
-
-
-def _derive_leaky(delta: Tensor, activated: Tensor) -> None:
-    _leaky_relu_backward(delta, activated, LEAK, True, grad_input=delta)
-
-
-#: In place: an activation after adding a bias, in one pass over memory where there is such an operation; and a gradient
-#: above an activation turned into that below it.
-_ACTIVATE: dict[Activation, Callable[[Tensor, Tensor], object]] = {
-    "relu": torch.ops.aten._add_relu_.Tensor,
-    "leaky_relu": _leaky,
-}
-_DERIVE = {"relu": _derive_relu, "leaky_relu": _derive_leaky}
 
 
 @dataclass(frozen=True)
@@ -140,25 +113,20 @@ class Pass:
         for layer, out in enumerate(self._memory.hidden):
             weight, bias = net.weights[2 * layer : 2 * layer + 2]
             works.append(bind(h, weight, out, net.precision if layer else "float32"))
-            works.append(partial(_ACTIVATE[net.activation], out, bias))
+            works.append(activate(net.activation, out, bias))
             h = out
         works.append(bind(_t(net.weights[-2]), _t(h), self.outputs))
-        works.append(partial(self.outputs.add_, _t(net.weights[-1])))
-        return works
+        works.append(add_to_rows(self.outputs, _t(net.weights[-1])))
+        return fuse(works)
 
     @cached_property
     def _to_params(self) -> list[Work]:
         net, below = self._net, [self.inputs, *self._memory.hidden]
-        ones = torch.ones(net.members, 1, self.grad.shape[2], device=self.grad.device)
-        works: list[Work] = [
-            bind(self.grad, below[-1], _t(net.grads[-2])),
-            partial(torch.sum, self.grad, 2, keepdim=True, out=_t(net.grads[-1])),
-        ]
-        for layer, down, delta in self._descent():
+        works = [bind(self.grad, below[-1], _t(net.grads[-2])), sum_rows(self.grad, _t(net.grads[-1]))]
+        for layer, down, delta in self._descent(net.grads[1::2]):
             works += down
             works.append(bind(_t(below[layer]), delta, net.grads[2 * layer], net.precision if layer else "float32"))
-            works.append(bind(ones, delta, net.grads[2 * layer + 1]))  # a sum over rows, quicker than torch's
-        return works
+        return fuse(works)
 
     @cached_property
     def _to_inputs(self) -> tuple[list[Work], Tensor]:
@@ -167,17 +135,19 @@ class Pass:
         for _, down, below in self._descent():
             works, delta = works + down, below
         out = torch.empty(len(delta), self._weight.shape[1], delta.shape[1], device=delta.device)
-        return [*works, bind(self._weight, _t(delta), out)], out
+        return fuse([*works, bind(self._weight, _t(delta), out)]), out
 
-    def _descent(self) -> Iterator[tuple[int, list[Work], Tensor]]:
-        """For each hidden layer from the top, how to get the gradient in its product, and where that is put."""
+    def _descent(self, totals: Sequence[Tensor] | None = None) -> Iterator[tuple[int, list[Work], Tensor]]:
+        """For each hidden layer from the top, how to get the gradient in its product, and where that is put; its sums
+        over rows go to the layer's place in `totals`.
+        """
         net, hidden, grad = self._net, self._memory.hidden, _t(self.grad)
         for layer in reversed(range(len(hidden))):
             delta = self._memory.deltas[layer % 2]
             precision = net.precision if layer + 1 < len(hidden) else "float32"
             product = bind(grad, _t(net.weights[2 * layer + 2]), delta, precision)
-            # Both activations keep the sign of their input, so their output tells on which side it was.
-            yield layer, [product, partial(_DERIVE[net.activation], delta, hidden[layer])], delta
+            total = totals[layer] if totals is not None else None
+            yield layer, [product, undo(net.activation, delta, hidden[layer], total)], delta
             grad = delta
 
 

@@ -15,7 +15,8 @@ import torch
 from torch import Tensor
 
 from rrm.nets.precision import Multiplying, rounds
-from rrm.nets.ways import WAYS, Way, Work, by_torch, fits
+from rrm.nets.program import Work
+from rrm.nets.ways import WAYS, Way, by_torch, fits
 from rrm.tuning import OTHERWISE, Choice, Form, Shape, cell, machine, nearest
 
 if TYPE_CHECKING:

@@ -17,7 +17,8 @@ import torch
 
 from rrm.nets.precision import multiplies
 from rrm.nets.products import bind_rounded
-from rrm.nets.ways import WAYS, MklKernel, Work
+from rrm.nets.program import Work
+from rrm.nets.ways import WAYS, MklKernel
 from rrm.tuning import FORMS, ROUNDED, SHAPES, cell
 
 _TURNS, _TURN_S = 3, 0.002

@@ -8,10 +8,10 @@ the quickest everywhere, so `rrm.tuning` has them measured and `rrm.nets.product
 from __future__ import annotations
 
 from collections.abc import Callable
-from ctypes import CDLL, byref, c_char_p, c_float, c_int64, c_void_p
+from ctypes import CDLL, addressof, c_char, c_float, c_int64, c_void_p, cast
 from functools import cache, partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
@@ -19,11 +19,11 @@ from torch import Tensor
 
 from rrm.hardware import extensions
 from rrm.nets.precision import Multiplying
+from rrm.nets.program import CALL, Coded, Work
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Mapping
 
-Work = Callable[[], object]  #: writes one product to where it belongs
 Way = Callable[[Tensor, Tensor, Tensor], Work]
 
 
@@ -63,25 +63,25 @@ class MklKernel:
         return self._needs <= extensions() and _torch_library() is not None and hasattr(_torch_library(), self._symbol)
 
     def __call__(self, a: Tensor, b: Tensor, out: Tensor) -> Work:
-        kernel: Callable[..., object] = getattr(_torch_library(), self._symbol)
+        kernel = getattr(_torch_library(), self._symbol)
         calls = [_arguments(*matrices) for matrices in zip(a, b, out, strict=True)]
-        return partial(_call, kernel, calls, (a, b, out))
+        places = np.array([[addressof(of) for of in call] for call in calls], np.uint64)
+        address = cast(kernel, c_void_p).value
+        assert address is not None
+        return Coded([(CALL, address, row.ctypes.data) for row in places], (calls, places, a, b, out))
 
 
-def _call(kernel: Callable[..., object], calls: Sequence[tuple[object, ...]], _owners: tuple[Tensor, ...]) -> None:
-    for arguments in calls:
-        kernel(*arguments)
-
-
-def _arguments(a: Tensor, b: Tensor, out: Tensor) -> tuple[object, ...]:
+def _arguments(a: Tensor, b: Tensor, out: Tensor) -> list[Any]:
     """As BLAS' `sgemm` takes them. It counts by columns: a row-major `out` is to it the transposed product, b' a'."""
     (trans_a, step_a), (trans_b, step_b), (_, step_out) = map(_layout, (a, b, out))
-    return (
-        c_char_p(trans_b), c_char_p(trans_a), *(byref(c_int64(size)) for size in (b.shape[1], len(a), len(b))),
-        byref(c_float(1)), c_void_p(b.data_ptr()), byref(c_int64(step_b)),
-        c_void_p(a.data_ptr()), byref(c_int64(step_a)),
-        byref(c_float(0)), c_void_p(out.data_ptr()), byref(c_int64(step_out)),
-    )  # fmt: skip
+
+    def at(matrix: Tensor) -> c_char:
+        return c_char.from_address(matrix.data_ptr())
+
+    return [
+        c_char(trans_b), c_char(trans_a), c_int64(b.shape[1]), c_int64(len(a)), c_int64(len(b)),
+        c_float(1), at(b), c_int64(step_b), at(a), c_int64(step_a), c_float(0), at(out), c_int64(step_out),
+    ]  # fmt: skip
 
 
 def _layout(matrix: Tensor) -> tuple[bytes, int]:

@@ -6,7 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from torch import Tensor, nn
 
-from rrm.nets.mlp import Activation, Pass, StackedMLP
+from rrm.nets.mlp import Pass, StackedMLP
+from rrm.nets.program import Activation
 from tests.rrm.agents.reference_sac import unstack
 
 SHAPE = {"members": 3, "inputs": 7, "hidden": 20, "layers": 2, "outputs": 2}
