@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import math
+from typing import Any, TypeVar
 
+import numpy as np
 import torch
 from torch import Tensor
-from torch.nn.functional import binary_cross_entropy_with_logits, pad, softplus
+from torch.nn.functional import binary_cross_entropy_with_logits, pad
+
+Array = TypeVar("Array", Tensor, "np.ndarray[Any, np.dtype[np.float32]]")
 
 _LOG_SQRT_2PI = 0.5 * math.log(2 * math.pi)
 
@@ -53,14 +57,17 @@ def pseudo_label_loss(logits: Tensor, opinion: Tensor, threshold: float) -> tupl
     return (losses * sure).mean(dim=-1).sum(), sure.sum()
 
 
-def squashed_gaussian_log_prob(noise: Tensor, log_std: Tensor, pre_tanh: Tensor) -> Tensor:
+def squashed_gaussian_log_prob(noise: Array, log_std: Array, pre_tanh: Array, xp: Any = torch) -> Array:
     """Log density of the action `tanh(pre_tanh)`, where `pre_tanh = mean + exp(log_std) * noise` and noise is N(0, 1).
 
-    The log-determinant of tanh, log(1 - tanh(x)^2), is taken as 2 (ln 2 - x - softplus(-2 x)), which stays finite where
-    tanh rounds to one. `softplus(x, beta=-2)` is -softplus(-2 x) / 2.
+    The log-determinant of tanh, log(1 - tanh(x)^2), is taken as 2 (ln 2 - |x| - log(1 + exp(-2 |x|))), which stays
+    finite where tanh rounds to one.
 
-    Arguments are float32 [A, B]; the result is [B], nats, summed over the A dimensions.
+    Arguments are float32 [A, B]; the result is [B], nats, summed over the A dimensions. They are tensors, or arrays of
+    numpy where `xp` is numpy.
     """
-    log_cosh = pre_tanh.sub(softplus(pre_tanh, beta=-2), alpha=2)  # and ln 2 more
-    spread = log_std.add(noise.square(), alpha=0.5)
-    return log_cosh.mul_(2).sub_(spread).sum(dim=0).sub_(len(noise) * (_LOG_SQRT_2PI + 2 * math.log(2)))
+    size = abs(pre_tanh)
+    log_cosh = size + xp.log1p(xp.exp(size * -2))  # and ln 2 less
+    each = log_cosh * 2 - log_std - noise * noise * 0.5
+    log_prob: Array = each.sum(0) - len(noise) * (_LOG_SQRT_2PI + 2 * math.log(2))
+    return log_prob

@@ -10,8 +10,7 @@ counter decides when the target moves.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
@@ -23,7 +22,7 @@ from rrm.nets.adam import FlatAdam
 from rrm.nets.mlp import Memory, Pass, StackedMLP
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
     from rrm.config import AgentConfig
     from rrm.envs.tasks import Spaces
@@ -33,65 +32,60 @@ if TYPE_CHECKING:
 
 _LARGEST = 1 - 1e-6  #: of an action whose density is asked for; float32's tanh rounds to one, where atanh is infinite
 
-_tanh_backward = torch.ops.aten.tanh_backward.grad_input
 
 LOG_STD_MIN, LOG_STD_MAX = -5.0, 2.0
 _HALF_RANGE, _MIDDLE = 0.5 * (LOG_STD_MAX - LOG_STD_MIN), 0.5 * (LOG_STD_MAX + LOG_STD_MIN)
 _FIGURES = ("critic_loss", "actor_loss", "entropy", "alpha")  #: entropy in nats
 
 
-@dataclass(frozen=True)
+def library(of: Tensor) -> tuple[Any, Callable[[Tensor], Any]]:
+    """Whose functions small arithmetic beside this tensor uses, and how a tensor is handed to them: numpy's calls cost a
+    third of torch's, and know no other device than the processor.
+    """
+    return (np, Tensor.numpy) if of.device.type == "cpu" else (torch, lambda tensor: tensor)
+
+
 class _Sample:
-    """Actions drawn from an actor's output, and what their gradient needs, in memory of its own. Fields are [A, B]."""
+    """Actions drawn from an actor's output, and what their gradient needs, in memory of its own. Fields are [A, B], with
+    a processor numpy's, whose calls cost the least.
 
-    mean: Tensor  #: of the actor's output
-    raw: Tensor  #: of the actor's output, a log standard deviation before it is squashed
-    noise: Tensor
-    squash: Tensor
-    log_std: Tensor
-    spread: Tensor
-    pre_tanh: Tensor
-    act: Tensor
+    Args:
+        head: the actor's output, [2 A, B].
+        act: where the actions go, [A, B]; fresh memory unless given.
+    """
 
-    @staticmethod
-    def of(head: Tensor, act: Tensor | None = None) -> _Sample:
-        """Room for samples of an actor's output, [2 A, B]; `act` is where the actions go, if not to fresh memory."""
-        mean, raw = head.chunk(2)
-        noise, squash, log_std, spread, pre_tanh = torch.empty(5, *mean.shape, device=head.device)
-        return _Sample(
-            mean, raw, noise, squash, log_std, spread, pre_tanh, torch.empty_like(mean) if act is None else act
-        )
+    def __init__(self, head: Tensor, act: Tensor | None = None) -> None:
+        self.xp, self._view = library(head)
+        self.actions = torch.empty_like(head[: len(head) // 2]) if act is None else act
+        self._drawn = torch.empty(self.actions.shape, device=head.device)
+        self.mean, self.raw = map(self._view, head.chunk(2))
+        self.noise, self.act = self._view(self._drawn), self._view(self.actions)
 
-    def part(self, rows: slice) -> _Sample:
-        """That of these rows; it shares memory."""
-        return _Sample(*(getattr(self, name)[:, rows] for name in self.__dataclass_fields__))
-
-    def draw(self, generator: torch.Generator) -> Tensor:
+    def draw(self, generator: torch.Generator) -> None:
         """Fresh actions."""
-        self.noise.normal_(generator=generator)
-        torch.exp(self.squashed(), out=self.spread).mul_(self.noise)
-        torch.add(self.mean, self.spread, out=self.pre_tanh)
-        return torch.tanh(self.pre_tanh, out=self.act)
+        self._drawn.normal_(generator=generator)
+        self.squash = self.xp.tanh(self.raw)
+        self.log_std = self.squash * _HALF_RANGE + _MIDDLE
+        self.spread = self.xp.exp(self.log_std) * self.noise
+        self.pre_tanh = self.mean + self.spread
+        self.act[...] = self.xp.tanh(self.pre_tanh)
 
-    def squashed(self) -> Tensor:
-        """The log standard deviation."""
-        torch.tanh(self.raw, out=self.squash)
-        return torch.mul(self.squash, _HALF_RANGE, out=self.log_std).add_(_MIDDLE)
+    def log_prob(self) -> Any:
+        """Log density of the actions, [B]."""
+        return squashed_gaussian_log_prob(self.noise, self.log_std, self.pre_tanh, self.xp)
 
-    def log_prob(self) -> Tensor:
-        """Log density of the actions, float32 [B]."""
-        return squashed_gaussian_log_prob(self.noise, self.log_std, self.pre_tanh)
-
-    def backward(self, grad_act: Tensor, grad_log_prob: Tensor, grad_mean: Tensor, grad_raw: Tensor) -> None:
-        """Write the gradient in the actor's output, [A, B] each, of a loss with these gradients in the actions, [A, B],
-        and in their log densities (one number for all).
+    def backward(self, rows: slice, grad_act: Any, grad_log_prob: Any, grad_head: tuple[Any, Any]) -> None:
+        """Write the gradient in these rows of the actor's output, both [A, rows], of a loss with these gradients in the
+        actions, [A, rows], and in their log densities (one number for all).
 
         With the noise held fixed, d log_prob / d pre_tanh = 2 act (all of it from the log-determinant, the Gaussian's
         part cancels) and d log_prob / d log_std = -1 besides its effect on pre_tanh.
         """
-        _tanh_backward(grad_act, self.act, grad_input=grad_mean).addcmul_(grad_log_prob, self.act, value=2)
-        grad_log_std = (grad_mean * self.spread).sub_(grad_log_prob)
-        _tanh_backward(grad_log_std, self.squash, grad_input=grad_raw).mul_(_HALF_RANGE)
+        act, squash, (grad_mean, grad_raw) = self.act[:, rows], self.squash[:, rows], grad_head
+        grad_mean[...] = (1 - act * act) * grad_act + 2 * grad_log_prob * act
+        grad_raw[...] = (grad_mean * self.spread[:, rows] - grad_log_prob) * (
+            _HALF_RANGE - _HALF_RANGE * squash * squash
+        )
 
 
 class _Workspace:
@@ -116,12 +110,14 @@ class _Workspace:
         self.target = Pass(target, following, shared)
         self.critic = Pass(critic, taken, shared)
         self.imagined = Pass(critic, imagined, shared, columns=slice(obs_dim, None))
-        self.sample = _Sample.of(self.actor.outputs[0], both[:, obs_dim:].t())
-        self.present = self.sample.part(rows)
-        self.grad_head = self.ascent.grad[0].chunk(2)
-        self.error = torch.empty(2, batch, device=device)
-        self.q, self.q_next = self.imagined.outputs[:, 0], self.target.outputs[:, 0]
-        self.grad_q = self.critic.grad[:, 0], self.imagined.grad[:, 0]
+        self.sample = _Sample(self.actor.outputs[0], both[:, obs_dim:].t())
+        # What small arithmetic reads and writes, in numpy's terms with a processor.
+        self.xp, self.view = library(blocks)
+        self.rows, self.grad_head = rows, tuple(map(self.view, self.ascent.grad[0].chunk(2)))
+        self.q_next, self.q_taken, self.q = (
+            self.view(there.outputs[:, 0]) for there in (self.target, self.critic, self.imagined)
+        )
+        self.grad_taken, self.grad_q = self.view(self.critic.grad[:, 0]), self.view(self.imagined.grad[:, 0])
 
 
 class Sac:
@@ -173,14 +169,16 @@ class Sac:
             "log_alpha": self.log_alpha, "figures": self._figures,
         }  # fmt: skip
         self._acting = Pass(self.actor, torch.empty(1, obs_dim, device=device))
-        self._acts = _Sample.of(self._acting.outputs[0])
+        self._acts = _Sample(self._acting.outputs[0])
         self._space = _Workspace(self.actor, self.critic, self.target, config.batch)
-        self._last: tuple[Tensor, ...] | None = None  # what the figures of the last update are made of
+        self._last: tuple[Any, ...] | None = None  # what the figures of the last update are made of
 
     @torch.no_grad()
     def act(self, obs: Obs, *, explore: bool) -> Floats:
         self._acting(torch.as_tensor(obs.state, dtype=torch.float32))
-        act = self._acts.draw(self._explore) if explore else torch.tanh(self._acts.mean)
+        if explore:
+            self._acts.draw(self._explore)
+        act = self._acts.actions if explore else torch.tanh(self._acting.outputs[0, : self.act_dim])
         action: Floats = act[:, 0].clamp(-1, 1).cpu().numpy()
         if not np.isfinite(action).all():
             raise NumericalError(
@@ -192,53 +190,58 @@ class Sac:
 
     @torch.no_grad()
     def log_prob(self, obs: Tensor, act: Tensor) -> Tensor:
-        sample = _Sample.of(self.actor(obs)[0])
-        log_std = sample.squashed()
+        mean, raw = self.actor(obs)[0].chunk(2)
+        log_std = torch.tanh(raw) * _HALF_RANGE + _MIDDLE
         pre_tanh = torch.atanh(act.t().clamp(-_LARGEST, _LARGEST))
-        return squashed_gaussian_log_prob((pre_tanh - sample.mean) / log_std.exp(), log_std, pre_tanh)
+        return squashed_gaussian_log_prob((pre_tanh - mean) / log_std.exp(), log_std, pre_tanh)
 
     @torch.no_grad()
     def update(self, batch: Batch) -> None:
         """One step of critic, actor and temperature; the target follows every second time, the first included."""
         if self._space.batch != len(batch.reward):
             self._space = _Workspace(self.actor, self.critic, self.target, len(batch.reward))
-        alpha, space = self.log_alpha.exp(), self._space
+        space = self._space
+        log_alpha, grad = space.view(self.log_alpha), space.view(self._log_alpha_grad)
+        alpha = space.xp.exp(log_alpha)
         torch.cat((batch.next_obs, batch.obs, batch.obs), out=space.obs)
         space.act.copy_(batch.act)
         # One pass samples for the next observations and the present ones: the actor changes only after either was used.
         space.actor.forward()
         space.sample.draw(self._noise)
-        next_log_prob, log_prob = space.sample.log_prob().chunk(2)
-        self._update_critic(batch, next_log_prob, alpha)
+        log_prob = space.sample.log_prob()
+        error = self._update_critic(batch, log_prob[: space.batch], alpha)
         self._update_actor(alpha)
         # The loss of the temperature is alpha * (entropy - target), with target -A: its gradient in log alpha, too.
-        torch.sub(self.act_dim, log_prob.mean(), out=self._log_alpha_grad[0]).mul_(alpha[0])
+        entropy = -log_prob[space.rows].mean()
+        grad[...] = alpha * (entropy + self.act_dim)
         self._adams["alpha"].step()
         if self.updates % self.config.target_every == 0:
             self.target.flat.lerp_(self.critic.flat, self.config.tau)
-        self._last = space.error, space.q, log_prob, alpha
+        self._last = error, space.q, entropy, alpha
         self.updates += 1
 
-    def _update_critic(self, batch: Batch, next_log_prob: Tensor, alpha: Tensor) -> None:
-        """Regress both critics on the soft value of the next state."""
+    def _update_critic(self, batch: Batch, next_log_prob: Any, alpha: Any) -> Any:
+        """Regress both critics on the soft value of the next state; returns their errors, [2, B]."""
         space = self._space
         space.target.forward()
-        value = torch.minimum(*space.q_next).addcmul_(alpha, next_log_prob, value=-1)
-        q_target = torch.addcmul(batch.reward, batch.continues, value, value=self.config.discount)
-        torch.sub(space.critic.forward()[:, 0], q_target, out=space.error)
-        torch.mul(space.error, 2 / space.batch, out=space.grad_q[0])
+        value = space.xp.minimum(space.q_next[0], space.q_next[1]) - alpha * next_log_prob
+        q_target = space.view(batch.reward) + self.config.discount * space.view(batch.continues) * value
+        space.critic.forward()
+        error = space.q_taken - q_target
+        space.grad_taken[...] = error * (2 / space.batch)
         space.critic.backward_params()
         self._adams["critic"].step()
+        return error
 
-    def _update_actor(self, alpha: Tensor) -> None:
+    def _update_actor(self, alpha: Any) -> None:
         """Ascend the smaller Q plus entropy."""
         space, share = self._space, -1 / self._space.batch
         space.imagined.forward()
-        first, second = space.grad_q[1]
-        torch.le(*space.q, out=first).mul_(share)  # only the smaller critic is asked
-        torch.sub(share, first, out=second)
-        grad_act = space.imagined.backward_inputs().sum(dim=0)
-        space.present.backward(grad_act, -share * alpha, *space.grad_head)
+        smaller = space.q[0] <= space.q[1]
+        space.grad_q[0] = smaller * share  # only the smaller critic is asked
+        space.grad_q[1] = ~smaller * share
+        grad_act = space.view(space.imagined.backward_inputs()).sum(0)
+        space.sample.backward(space.rows, grad_act, -share * alpha, space.grad_head)
         space.ascent.backward_params()
         self._adams["actor"].step()
 
@@ -255,10 +258,11 @@ class Sac:
 
     def q_target(self, batch: Batch) -> Tensor:
         with torch.no_grad():
-            sample = _Sample.of(self.actor(batch.next_obs)[0])
-            act = sample.draw(self._lookahead).t()
-            q_next = self.target(torch.cat((batch.next_obs, act), dim=-1)).squeeze(1)
-            value = torch.minimum(q_next[0], q_next[1]) - self.log_alpha.exp() * sample.log_prob()
+            sample = _Sample(self.actor(batch.next_obs)[0])
+            sample.draw(self._lookahead)
+            q_next = self.target(torch.cat((batch.next_obs, sample.actions.t()), dim=-1)).squeeze(1)
+            log_prob = torch.as_tensor(sample.log_prob())
+            value = torch.minimum(q_next[0], q_next[1]) - self.log_alpha.exp() * log_prob
         return batch.reward + self.config.discount * batch.continues * value
 
     def figures(self) -> dict[str, float]:
@@ -274,8 +278,7 @@ class Sac:
     def _take_figures(self) -> None:
         """Of the last update, if they have not been taken yet."""
         if self._last is not None:
-            error, q, log_prob, alpha = self._last
-            entropy = -log_prob.mean()
+            error, q, entropy, alpha = (torch.as_tensor(value) for value in self._last)
             actor_loss = -alpha[0] * entropy - torch.minimum(*q).mean()
             torch.stack((error.square().sum() / error.shape[1], actor_loss, entropy, alpha[0]), out=self._figures)
             self._last = None
