@@ -12,8 +12,10 @@ Precision = Literal["float32", "bfloat16"]
 
 
 def _meant(value: object, info: ValidationInfo) -> object:
-    agent = info.data.get("agent")  # validated before; missing where it is wrong, which is said then
-    return native_precision(agent.batch, agent.hidden) if value == "auto" and agent is not None else value
+    if value != "auto":
+        return value
+    agent = (info.data or {}).get("agent")  # validated before; missing where it is wrong or the setting stands alone
+    return "float32" if agent is None else native_precision(agent.batch, agent.hidden)
 
 
 #: A setting that may also be "auto"; what is stored is what that meant on the machine that planned the run.
