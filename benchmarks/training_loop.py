@@ -4,6 +4,9 @@ The state of mid-run is made quickly: real steps of random actions, repeated unt
 there, and 2,500 labels by the scripted teacher on them. The loop's rate counts acting, simulation, storing, the update
 of every step, and one feedback session (queries, teacher, epochs until the labels are learned, relabelling) every
 5,000 steps. Its floor is the rate at which the update alone would run.
+
+At the laptop profile's scale the loop is taken from the first session on, as it is, beside itself with torch's own
+products.
 """
 
 from __future__ import annotations
@@ -25,16 +28,22 @@ from benchmarks.lines import Line, in_turns
 from rrm.checkpoint import Checkpoints
 from rrm.config import RewardConfig
 from rrm.nets.precision import multiplies
+from rrm.nets.products import choice, using
 from rrm.precision import Precision
 from rrm.sources.preferences import PreferenceReward
 from rrm.training.loop import Trainer
 from rrm.training.run_config import RunConfig
+from rrm.tuning import OTHERWISE, Choice
 from rrm.types import Transition
+from rrmctl.planning.experiments import SHIPPED
+from rrmctl.planning.manifest import load
+from rrmctl.planning.plan import make_plan
 
 TASK, STEPS, EVERY, LABELS = "button-press", 500_000, 5_000, 2_500
 REAL_STEPS = 5_000
 CHECKPOINT_S = 120.0  # the default interval
 _MEMORY_STEPS = 1_000_000
+_LAPTOP_STEPS = 2_500  # from one session to the next
 
 
 def lines() -> Iterator[Line]:
@@ -42,6 +51,8 @@ def lines() -> Iterator[Line]:
     torch.set_num_threads(1)
     for precision in ("float32", "bfloat16") if multiplies("bfloat16") else ("float32",):
         yield from _loop(precision)
+    for method in ("oracle", "rrm-proxy"):
+        yield _laptop(method)
     yield Line(item=f"resident memory, {_MEMORY_STEPS:,} steps", ours=_apart("memory"), unit="MiB", bound=1024)
     starts = [_timed_start() for _ in range(3)]
     yield Line(item="worker, start to first step", ours=statistics.median(starts), unit="s", bound=5)
@@ -73,6 +84,35 @@ def _loop(precision: Precision) -> Iterator[Line]:
             note=f"{1e3 * checkpoint_s:.0f} ms every {CHECKPOINT_S:.0f} s",
         )  # fmt: skip
     trainer.close()
+
+
+def _laptop(method: str) -> Line:
+    """Steps a second of a shipped run, sessions among them."""
+    manifest = load(SHIPPED / "main-results.toml")
+    (config,) = make_plan(manifest, profile="laptop", seeds=1, tasks=[TASK], methods=[method]).configs.values()
+    assert isinstance(config, RunConfig)
+    loops = [_LaptopLoop(config, chosen) for chosen in (choice(), {OTHERWISE: "torch"})]
+    ours_s, torch_s = in_turns(*loops, turns=3, budget=0)
+    for loop in loops:
+        loop.trainer.close()
+    return Line(
+        item=f"loop on {TASK}, laptop, {method}", ours=_LAPTOP_STEPS / ours_s, unit="/s",
+        peers={"torch's products": _LAPTOP_STEPS / torch_s},
+    )  # fmt: skip
+
+
+class _LaptopLoop:
+    """A run from its first update on, a session's interval at a call, with products by this choice."""
+
+    def __init__(self, config: RunConfig, chosen: Choice) -> None:
+        self.trainer, self._chosen = Trainer(config), chosen
+        begin = config.first_session if config.feedback else config.random_steps
+        self(begin + 1)
+
+    def __call__(self, steps: int = _LAPTOP_STEPS) -> None:
+        with using(self._chosen):
+            for _ in range(steps):
+                self.trainer.advance()
 
 
 def mid_run(steps: int, transitions: int, precision: Precision, folder: Path | None = None) -> Trainer:

@@ -39,15 +39,15 @@ _FIGURES = ("critic_loss", "actor_loss", "entropy", "alpha")  #: entropy in nats
 
 
 def library(of: Tensor) -> tuple[Any, Callable[[Tensor], Any]]:
-    """Whose functions small arithmetic beside this tensor uses, and how a tensor is handed to them: numpy's calls cost a
-    third of torch's, and know no other device than the processor.
+    """Whose functions small arithmetic beside this tensor uses, and how a tensor is handed to them.
+
+    numpy's calls cost a third of torch's, and know no other device than the processor.
     """
     return (np, Tensor.numpy) if of.device.type == "cpu" else (torch, lambda tensor: tensor)
 
 
 class _Sample:
-    """Actions drawn from an actor's output, and what their gradient needs, in memory of its own. Fields are [A, B], with
-    a processor numpy's, whose calls cost the least.
+    """Actions drawn from an actor's output, and what their gradient needs. Fields are [A, B], of the actor's `library`.
 
     Args:
         head: the actor's output, [2 A, B].
