@@ -59,6 +59,10 @@ _CLEARLY = 1.15
 _PAYS = 1.3
 
 
+#: What a way does to its process that is not for this processor, or not what it is taken for.
+_FAULTS = (signal.SIGSEGV, signal.SIGBUS, signal.SIGILL, signal.SIGFPE, signal.SIGABRT)
+
+
 def cell(form: Form, shape: Shape) -> str:
     """The name of a measured product, such as `weights 512x256x256`."""
     return f"{form} {'x'.join(map(str, shape))}"
@@ -133,7 +137,7 @@ def machine() -> Machine:
 def measure() -> Machine:
     """Have every way tried by another process; one that dies of a way goes on with the next in a new one.
 
-    Raises RuntimeError where not even torch's own products can be tried.
+    Raises RuntimeError with what it said where the process fails otherwise.
     """
     rates: dict[str, dict[str, float]] = {}
     refused: dict[str, str] = {}
@@ -141,7 +145,7 @@ def measure() -> Machine:
     rest = [*EXACT, ROUNDED]
     while rest:
         command = [sys.executable, "-m", "rrm.nets.trial", *rest]
-        done = subprocess.run(command, stdout=subprocess.PIPE, text=True, env=variables, check=False)
+        done = subprocess.run(command, capture_output=True, text=True, env=variables, check=False)
         for line in done.stdout.splitlines():
             found = json.loads(line)
             rest.remove(found["way"])
@@ -149,15 +153,11 @@ def measure() -> Machine:
                 refused[found["way"]] = found["refused"]
             else:
                 rates[found["way"]] = found["rates"]
-        if rest:
-            refused[rest.pop(0)] = _ending(done.returncode)
-    if EXACT[0] not in rates:
-        raise RuntimeError(f"the products of torch could not be measured: {refused[EXACT[0]]}")
+        if -done.returncode in _FAULTS and rates:
+            refused[rest.pop(0)] = f"trying it ended by {signal.Signals(-done.returncode).name}"
+        elif done.returncode:
+            raise RuntimeError(f"products could not be measured (exit code {done.returncode}): {done.stderr}")
     return Machine(rates, refused)
-
-
-def _ending(code: int) -> str:
-    return f"trying it ended by {signal.Signals(-code).name}" if code < 0 else f"trying it ended with exit code {code}"
 
 
 def _folder(environ: Mapping[str, str] = os.environ) -> Path:
@@ -168,7 +168,7 @@ def _folder(environ: Mapping[str, str] = os.environ) -> Path:
 def _key() -> str:
     """Of this processor, these libraries, and what is measured how."""
     here = Path(__file__).parent
-    sources = [(here / name).read_bytes() for name in ("tuning.py", "nets/trial.py", "nets/ways.py")]
+    sources = [(here / name).read_bytes() for name in ("tuning.py", "nets/program.py", "nets/trial.py", "nets/ways.py")]
     facts = (cpu_model(), sorted(extensions()), version("torch"), version("numpy"), *sources)
     return hashlib.sha256(repr(facts).encode()).hexdigest()[:16]
 

@@ -104,7 +104,7 @@ class _Workspace:
         following, imagined, taken = torch.split(blocks, batch)
         both, self.batch = blocks[: 2 * batch], batch
         self.obs, self.act = blocks[:, :obs_dim], taken[:, obs_dim:]  #: of all blocks; of the last
-        rows, memory, shared = slice(batch, None), Memory.of(actor, 2 * batch), Memory.of(critic, batch)
+        rows, memory, shared = slice(batch, None), Memory(actor, 2 * batch), Memory(critic, batch)
         self.actor = Pass(actor, both[:, :obs_dim], memory)
         self.ascent = Pass(actor, both[rows, :obs_dim], memory.part(rows))
         self.target = Pass(target, following, shared)

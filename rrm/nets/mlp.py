@@ -8,8 +8,8 @@ differentiable code that takes the parameters as an argument; the tests compare 
 
 from __future__ import annotations
 
+import copy
 import math
-from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -17,7 +17,7 @@ import torch
 from torch import Tensor, nn
 
 from rrm.nets.products import bind
-from rrm.nets.program import LEAK, Activation, Work, activate, add_to_rows, fuse, sum_rows, undo
+from rrm.nets.program import LEAK, Activation, Work, activate, add_to_rows, convert, fuse, sum_rows, undo
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -34,31 +34,39 @@ _ALIGN = 16
 _SPARES = 2
 
 
-@dataclass(frozen=True)
 class Memory:
-    """Room for the activations of one pass; passes that are not under way at the same time can share it."""
+    """Room for the activations of one pass; passes that are not under way at the same time can share it.
 
-    hidden: list[Tensor]  #: after the activation, [N, B, hidden] each
-    outputs: Tensor  #: [N, out, B]
-    deltas: tuple[Tensor, Tensor]  #: [N, B, hidden], used in turns on the way down
+    With products in bfloat16 what they read is stored so: the activations but for the last, and gradients but for those
+    at the first layer.
+    """
 
-    @staticmethod
-    def of(net: StackedMLP, rows: int) -> Memory:
-        """Fresh memory for inputs of so many rows."""
-
-        def room(rows: int, width: int) -> Tensor:
+    def __init__(self, net: StackedMLP, rows: int) -> None:
+        def room(width: int, dtype: torch.dtype) -> Tensor:
             # Rows a multiple of 1 KiB apart fall into the same few sets of a cache, which costs a product 5 %.
-            apart = width + _ALIGN * (width % 256 == 0)
-            return torch.zeros(net.members, rows, apart, device=net.flat.device)[..., :width]
+            apart = width + _ALIGN * (width % 256 == 0 and dtype == torch.float32)
+            return torch.zeros(net.members, rows, apart, dtype=dtype, device=net.flat.device)[..., :width]
 
-        hidden = [room(rows, width) for width in net.widths[1:-1]]
-        widest = max(net.widths[1:-1], default=0)
-        return Memory(hidden, room(net.widths[-1], rows), (room(rows, widest), room(rows, widest)))
+        layers, widest = len(net.widths) - 2, max(net.widths[1:-1], default=0)
+        self.hidden = [  #: after the activation, [N, B, hidden] each
+            room(width, torch.float32 if layer == layers - 1 else net.inner)
+            for layer, width in enumerate(net.widths[1:-1])
+        ]
+        self.outputs = torch.zeros(net.members, net.widths[-1], rows, device=net.flat.device)  #: [N, out, B]
+        self._spare = {
+            dtype: [room(widest, dtype) for _ in range(2)] for dtype in {torch.float32, net.inner}
+        }  # used in turns
+
+    def spare(self, dtype: torch.dtype, turn: int) -> Tensor:
+        """Room for a product, [N, B, hidden], that two turns later is written over."""
+        return self._spare[dtype][turn % 2]
 
     def part(self, rows: slice) -> Memory:
         """That of these rows alone."""
-        hidden = [layer[:, rows] for layer in self.hidden]
-        return Memory(hidden, self.outputs[..., rows], (self.deltas[0][:, rows], self.deltas[1][:, rows]))
+        part = copy.copy(self)
+        part.hidden, part.outputs = [layer[:, rows] for layer in self.hidden], self.outputs[..., rows]
+        part._spare = {dtype: [room[:, rows] for room in rooms] for dtype, rooms in self._spare.items()}
+        return part
 
 
 class Pass:
@@ -78,7 +86,7 @@ class Pass:
         self._net = net
         self.given = inputs
         self.inputs = inputs.expand(net.members, -1, -1)
-        self._memory = memory = memory or Memory.of(net, inputs.shape[-2])
+        self._memory = memory = memory or Memory(net, inputs.shape[-2])
         self.outputs = memory.outputs  #: [N, out, B]
         self.grad = torch.empty_like(memory.outputs, memory_format=torch.contiguous_format)  #: in the outputs
         self._weight = net.weights[0][:, columns or slice(None)]
@@ -111,9 +119,11 @@ class Pass:
         net, h = self._net, self.inputs
         works: list[Work] = []
         for layer, out in enumerate(self._memory.hidden):
-            weight, bias = net.weights[2 * layer : 2 * layer + 2]
-            works.append(bind(h, weight, out, net.precision if layer else "float32"))
-            works.append(activate(net.activation, out, bias))
+            weight, bias = net.factors[layer], net.weights[2 * layer + 1]
+            if weight.dtype != bias.dtype:
+                works.append(convert(net.weights[2 * layer], weight))
+            product = out if out.dtype == weight.dtype else self._memory.spare(weight.dtype, layer)
+            works += bind(h, weight, product), activate(net.activation, product, bias, out)
             h = out
         works.append(bind(_t(net.weights[-2]), _t(h), self.outputs))
         works.append(add_to_rows(self.outputs, _t(net.weights[-1])))
@@ -124,8 +134,11 @@ class Pass:
         net, below = self._net, [self.inputs, *self._memory.hidden]
         works = [bind(self.grad, below[-1], _t(net.grads[-2])), sum_rows(self.grad, _t(net.grads[-1]))]
         for layer, down, delta in self._descent(net.grads[1::2]):
-            works += down
-            works.append(bind(_t(below[layer]), delta, net.grads[2 * layer], net.precision if layer else "float32"))
+            grads = net.grads[2 * layer]
+            product = grads if delta.dtype == grads.dtype else torch.empty_like(grads, dtype=delta.dtype)
+            works += [*down, bind(_t(below[layer]), delta, product)]
+            if product is not grads:
+                works.append(convert(product, grads))
         return fuse(works)
 
     @cached_property
@@ -141,13 +154,14 @@ class Pass:
         """For each hidden layer from the top, how to get the gradient in its product, and where that is put; its sums
         over rows go to the layer's place in `totals`.
         """
-        net, hidden, grad = self._net, self._memory.hidden, _t(self.grad)
-        for layer in reversed(range(len(hidden))):
-            delta = self._memory.deltas[layer % 2]
-            precision = net.precision if layer + 1 < len(hidden) else "float32"
-            product = bind(grad, _t(net.weights[2 * layer + 2]), delta, precision)
+        net, memory, grad = self._net, self._memory, _t(self.grad)
+        for layer in reversed(range(len(memory.hidden))):
+            above = net.factors[layer + 1]
+            product = memory.spare(above.dtype, layer)
+            delta = memory.spare(net.factors[layer].dtype, layer)
             total = totals[layer] if totals is not None else None
-            yield layer, [product, undo(net.activation, delta, hidden[layer], total)], delta
+            works = [bind(grad, _t(above), product), undo(net.activation, product, memory.hidden[layer], delta, total)]
+            yield layer, works, delta
             grad = delta
 
 
@@ -182,7 +196,8 @@ class StackedMLP:
         self.widths = (inputs, *[hidden] * layers, outputs)
         self.activation = activation
         self.init = init
-        self.precision: Precision = precision
+        #: Precision in which hidden layers are multiplied with each other.
+        self.inner = torch.bfloat16 if precision == "bfloat16" and layers > 1 else torch.float32
         shapes = [s for i, o in zip(self.widths, self.widths[1:], strict=False) for s in ((i, o), (1, o))]
         shapes[-2] = (outputs, self.widths[-2])
         size = sum(_padded(members * math.prod(shape)) for shape in shapes)
@@ -193,6 +208,13 @@ class StackedMLP:
         )  #: and biases: `[W0, b0, W1, b1, ...]`, W [N, in, out], b [N, 1, out]
         self.grads = self._windows(self.flat_grad, shapes)  #: views in the order and shapes of `parameters()`
         self._spares: dict[torch.Size, Pass] = {}
+        #: What the inputs of each layer are multiplied with: its weights, rounded between hidden layers.
+        self.factors = [
+            torch.empty_like(w, dtype=self.inner) if 0 < layer < layers else w
+            for layer, w in enumerate(self.weights[::2])
+        ]
+        if self.inner == torch.float32:
+            self.factors = self.weights[::2]
         self._leaves = [p.detach().requires_grad_() for p in self.weights]
         if generator is not None:
             self.initialise(generator)

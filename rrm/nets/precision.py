@@ -1,14 +1,13 @@
 """In which arithmetic networks multiply.
 
-With `bfloat16` everything stays stored in float32; the two factors of a product between hidden layers are rounded to
-bfloat16 (8 bits of mantissa) on the way in, and its sums are taken in float32. Where torch does not round by itself,
-the sums are rounded once more on the way out. First and last layers, where the rounding would touch observations,
-actions and values directly and where there is little to gain, multiply in float32.
+With `bfloat16` (8 bits of mantissa) the products between hidden layers read and write numbers of that precision; their
+sums are taken in float32, and so are bias, activation and derivative before a result is rounded. Weights, gradients in
+them and Adam's moments are kept in float32. First and last layers, where the rounding would touch observations, actions
+and values directly and where there is little to gain, multiply in float32.
 """
 
 from __future__ import annotations
 
-from functools import cache
 from typing import TYPE_CHECKING
 
 import torch
@@ -39,21 +38,9 @@ class Multiplying:
         torch.set_float32_matmul_precision(self._before)
 
 
-@cache
-def rounds(precision: Precision) -> bool:
-    """Whether products inside `Multiplying(precision)` round their factors to bfloat16 on this machine."""
-    value = 1 + 2.0**-12  # rounds to 1 in bfloat16, and to itself in float32
-    factors = torch.full((2, 64, 64), value)
-    with Multiplying(precision):
-        product = torch.bmm(factors, factors)
-    return bool((product == 64).all())
-
-
 def multiplies(precision: Precision) -> bool:
-    """Whether this machine has products of this precision: torch rounds to bfloat16 itself, or the processor multiplies
-    numbers that are stored so.
-    """
-    return precision == "float32" or rounds(precision) or not extensions().isdisjoint(("avx512_bf16", "bf16"))
+    """Whether this machine's processor has products of this precision."""
+    return precision == "float32" or not extensions().isdisjoint(("amx_bf16", "avx512_bf16", "bf16"))
 
 
 def check_precision(precision: Precision) -> None:

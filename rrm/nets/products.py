@@ -14,13 +14,12 @@ from typing import TYPE_CHECKING
 import torch
 from torch import Tensor
 
-from rrm.nets.precision import Multiplying, rounds
 from rrm.nets.program import Work
 from rrm.nets.ways import WAYS, Way, by_torch, fits
 from rrm.tuning import OTHERWISE, Choice, Form, Shape, cell, machine, nearest
 
 if TYPE_CHECKING:
-    from rrm.precision import Precision
+    pass
 
 _CHOICE: ContextVar[Choice | None] = ContextVar("choice", default=None)
 
@@ -50,14 +49,11 @@ def using(chosen: Choice) -> Iterator[None]:
         _CHOICE.reset(before)
 
 
-def bind(a: Tensor, b: Tensor, out: Tensor, precision: Precision = "float32") -> Work:
+def bind(a: Tensor, b: Tensor, out: Tensor) -> Work:
     """A function that writes the product of two stacks of matrices, [N, M, K] and [N, K, L], to `out`, [N, M, L].
 
-    The tensors are read and written where they lie now, every time it is called. They are float32; with `bfloat16`
-    their numbers are rounded on the way in (`rrm.nets.precision`).
+    The tensors are read and written where they lie now, every time it is called; they are float32, or all bfloat16.
     """
-    if precision == "bfloat16":
-        return bind_rounded(a, b, out)
     if _by_torch(a, b, out):
         return by_torch(a, b, out)
     if out.stride(2) != 1 and out.shape[2] > 1:  # its transpose lies in rows
@@ -66,32 +62,14 @@ def bind(a: Tensor, b: Tensor, out: Tensor, precision: Precision = "float32") ->
 
 
 def _by_torch(*matrices: Tensor) -> bool:
-    """Whether this is torch's alone: another device, several threads, a stride that other libraries do not know."""
-    return any(m.device.type != "cpu" for m in matrices) or torch.get_num_threads() > 1 or not fits(*matrices)
+    """Whether this is torch's alone: another device or precision, several threads, a stride that others do not know."""
+    plain = all(m.device.type == "cpu" and m.dtype == torch.float32 for m in matrices)
+    return not plain or torch.get_num_threads() > 1 or not fits(*matrices)
 
 
 def _way(a: Tensor, b: Tensor) -> Way:
     chosen, (form, shape) = choice(), _form(a, b)
     return WAYS[chosen.get(cell(form, nearest(shape)), chosen[OTHERWISE])]
-
-
-def bind_rounded(a: Tensor, b: Tensor, out: Tensor) -> Work:
-    """`bind` with factors rounded to bfloat16."""
-    setting = Multiplying("bfloat16")
-    if out.device.type == "cpu" and not rounds("bfloat16"):
-        left, right, product = (torch.empty_like(m, dtype=torch.bfloat16) for m in (a, b, out))
-
-        def round_first() -> None:
-            torch.bmm(left.copy_(a), right.copy_(b), out=product)
-            out.copy_(product)
-
-        return round_first
-
-    def work() -> None:
-        with setting:
-            torch.bmm(a, b, out=out)
-
-    return work
 
 
 def _form(a: Tensor, b: Tensor) -> tuple[Form, Shape]:

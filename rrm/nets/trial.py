@@ -16,7 +16,6 @@ from collections.abc import Sequence
 import torch
 
 from rrm.nets.precision import multiplies
-from rrm.nets.products import bind_rounded
 from rrm.nets.program import Work
 from rrm.nets.ways import WAYS, MklKernel
 from rrm.tuning import FORMS, ROUNDED, SHAPES, cell
@@ -38,7 +37,8 @@ def main(names: Sequence[str]) -> None:
 
 def attempt(name: str) -> tuple[dict[str, float], str]:
     """Rates of one way by cell, and why it is not to be taken; empty where it is."""
-    way = bind_rounded if name == ROUNDED else WAYS[name]
+    dtype = torch.bfloat16 if name == ROUNDED else torch.float32
+    way = WAYS["torch" if name == ROUNDED else name]
     if (isinstance(way, MklKernel) and not way.there()) or (name == ROUNDED and not multiplies("bfloat16")):
         return {}, "this processor or this torch does not have it"
     rates = {}
@@ -49,7 +49,8 @@ def attempt(name: str) -> tuple[dict[str, float], str]:
         w = torch.randn(1, inputs, outputs, generator=generator)
         for form in FORMS:
             a, b = {"forward": (x, w), "weights": (x.mT, d), "inputs": (d, w.mT)}[form]
-            out = torch.empty(1, a.shape[1], b.shape[2])
+            a, b = a.to(dtype), b.to(dtype)
+            out = torch.empty(1, a.shape[1], b.shape[2], dtype=dtype)
             work = way(a, b, out)
             work()
             error = (out - a.double() @ b.double()).abs().max().item()
