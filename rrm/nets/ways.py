@@ -88,7 +88,7 @@ def _layout(matrix: Tensor) -> tuple[bytes, int]:
     """Whether a matrix lies transposed (T) or not (N), and the distance between its rows in memory."""
     rows, columns = matrix.shape
     along_rows, along_columns = matrix.stride()
-    if along_columns == 1 or (columns == 1 and along_rows != 1):
+    if along_columns == 1 or columns == 1:
         return b"N", max(along_rows, columns)
     return b"T", max(along_columns, rows)
 
@@ -117,5 +117,10 @@ WAYS: Mapping[str, Way] = {
 
 
 def fits(*matrices: Tensor) -> bool:
-    """Whether the rows or the columns of every matrix lie together, as all ways but torch's want them."""
-    return all(1 in matrix.stride()[-2:] for matrix in matrices)
+    """Whether the rows or the columns of every matrix lie together, one after another, as all ways but torch's want."""
+    return all(_in_lines(*matrix.shape[-2:], *matrix.stride()[-2:]) for matrix in matrices)
+
+
+def _in_lines(rows: int, columns: int, along_rows: int, along_columns: int) -> bool:
+    by_rows = along_columns == 1 and (along_rows >= columns or rows == 1)
+    return by_rows or (along_rows == 1 and (along_columns >= rows or columns == 1))
