@@ -18,7 +18,7 @@ import sys
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass, field
-from functools import cache
+from functools import cache, cached_property
 from importlib.metadata import version
 from pathlib import Path
 from statistics import geometric_mean
@@ -102,7 +102,7 @@ class Machine:
     rates: Mapping[str, Mapping[str, Rate]]  #: by way and cell
     refused: Mapping[str, str] = field(default_factory=dict)  #: why a way is not taken, by its name
 
-    @property
+    @cached_property
     def choice(self) -> dict[str, str]:
         """The exact way that is the quickest over all cells, and those cells where another is clearly quicker."""
         exact = self._exact
