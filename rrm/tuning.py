@@ -15,7 +15,7 @@ import os
 import signal
 import subprocess
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass, field
 from functools import cache, cached_property
@@ -77,12 +77,21 @@ def cell(form: Form, shape: Shape) -> str:
 
 
 def in_words(choice: Choice) -> str:
-    """A choice for people, such as `numpy; torch for inputs 1x512x256, weights 1x512x256`."""
-    cells: dict[str, list[str]] = {}
+    """A choice for people, such as `numpy; torch for 1x512x256, 8x512x256 forward/inputs`."""
+    others: dict[str, dict[str, list[str]]] = {}
     for name, way in choice.items():
-        cells.setdefault(way, []).extend([] if name == OTHERWISE else [name])
-    others = (f"{way} for {', '.join(sorted(named))}" for way, named in sorted(cells.items()) if named)
-    return "; ".join([choice[OTHERWISE], *others])
+        if name != OTHERWISE:
+            form, _, shape = name.partition(" ")
+            others.setdefault(way, {}).setdefault(shape, []).append(form)
+    return "; ".join([choice[OTHERWISE], *(f"{way} for {_layers(others[way])}" for way in sorted(others))])
+
+
+def _layers(forms: Mapping[str, Sequence[str]]) -> str:
+    """Forms by shape: which of a layer's products are meant; none is named where it is all of them."""
+    return ", ".join(
+        shape if len(forms[shape]) == len(FORMS) else f"{shape} {'/'.join(sorted(forms[shape]))}"
+        for shape in sorted(forms)
+    )
 
 
 @cache

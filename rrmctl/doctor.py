@@ -107,7 +107,7 @@ def arithmetic(cpuinfo: Path = Path("/proc/cpuinfo")) -> Iterator[Check]:
         yield Check("products", "missing", str(error), "reinstall: pip install --force-reinstall torch")
         return
     best, large = here.choice[OTHERWISE], cell("forward", _LARGE)
-    quickest = f"{in_words(here.choice)}; {_rate(here.rates[best][large])} at {_sides(_LARGE)}"
+    quickest = f"{in_words(here.choice)}; {_rate(here.rates[best][large])} at {_sides(_LARGE)} forward"
     beside = "" if best == "torch" else f", torch by itself {_rate(here.rates['torch'][large])}"
     refused = [f"; not {way}: {reason}" for way, reason in here.refused.items() if way != ROUNDED]
     found, file = "".join([quickest, beside, *refused]), kept_in()
@@ -138,7 +138,7 @@ def _vectors(flags: frozenset[str]) -> str:
 
 
 def _sides(shape: Shape) -> str:
-    return " x ".join(map(str, shape))
+    return "x".join(map(str, shape))
 
 
 def _rate(rate: float) -> str:

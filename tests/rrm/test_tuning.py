@@ -160,8 +160,9 @@ def test_an_earlier_choice_is_kept_where_its_ways_are_here() -> None:
 def test_a_choice_in_words() -> None:
     """The way of most products first, then those of the others, whatever the order in which they were found."""
     assert in_words({OTHERWISE: "numpy"}) == "numpy"
-    choice = {"b": "torch", OTHERWISE: "numpy", "c": "mkl-avx2", "a": "torch"}
-    assert in_words(choice) == "numpy; mkl-avx2 for c; torch for a, b"
+    choice = {"inputs 8x9x9": "torch", OTHERWISE: "numpy", "inputs 1x2x3": "mkl-avx2", "forward 8x9x9": "torch"}
+    choice |= {f"{form} 1x9x9": "torch" for form in FORMS}
+    assert in_words(choice) == "numpy; mkl-avx2 for 1x2x3 inputs; torch for 1x9x9, 8x9x9 forward/inputs"
 
 
 def test_what_is_written_is_what_is_read(fresh: Callable[[], tuple[Machine, int]]) -> None:

@@ -143,19 +143,19 @@ def test_ways_of_products(arithmetic: Callable[..., dict[str, doctor.Check]]) ->
     found = arithmetic(machine)["products"]
     assert found.state == "ok"
     assert found.found == (
-        "numpy; torch for forward 128x128x128; 130 GFLOP/s at 512 x 256 x 256, torch by itself 110 GFLOP/s; "
+        "numpy; torch for 128x128x128 forward; 130 GFLOP/s at 512x256x256 forward, torch by itself 110 GFLOP/s; "
         "not onednn: trying it ended by SIGSEGV; not mkl-avx512: this torch does not have it"
     )
     assert arithmetic(measured(torch=130, numpy=120))["products"].found.startswith(
-        "torch; 130 GFLOP/s at 512 x 256 x 256; not onednn"
+        "torch; 130 GFLOP/s at 512x256x256 forward; not onednn"
     )
 
 
 def test_precisions(arithmetic: Callable[..., dict[str, doctor.Check]]) -> None:
     """Which are there, and what "auto" takes for large and small batches, with the rates that decide."""
     assert arithmetic(measured(torch=100, bfloat16=180))["precision"].found == (
-        'float32 or bfloat16; "auto" is bfloat16 at 512 x 256 x 256 (bfloat16 180 GFLOP/s, float32 100 GFLOP/s); '
-        '"auto" is float32 at 128 x 128 x 128 (bfloat16 90 GFLOP/s, float32 100 GFLOP/s); '
+        'float32 or bfloat16; "auto" is bfloat16 at 512x256x256 (bfloat16 180 GFLOP/s, float32 100 GFLOP/s); '
+        '"auto" is float32 at 128x128x128 (bfloat16 90 GFLOP/s, float32 100 GFLOP/s); '
         "vector extensions: avx2, amx_bf16"
     )
     without = arithmetic(measured(torch=100))["precision"].found

@@ -61,7 +61,7 @@ def test_another_choice_of_products_is_one_change(folder: RunFolder) -> None:
     """It is told whole, however many products it speaks of."""
     record(folder, now(products={OTHERWISE: "mkl-avx2", "inputs 1x128x128": "torch", "forward 8x128x128": "torch"}))
     (told,) = record(folder, now())
-    assert told == "products: mkl-avx2; torch for forward 8x128x128, inputs 1x128x128 -> numpy"
+    assert told == "products: mkl-avx2; torch for 1x128x128 inputs, 8x128x128 forward -> numpy"
 
 
 def test_a_run_from_before_there_was_a_choice(folder: RunFolder) -> None:
