@@ -29,7 +29,9 @@ ROOT = Path(__file__).parents[3]
 def measured(cache: Path, *ways: str) -> Path:
     """A cache folder of this machine where these ways alone were found, the first the quickest of all."""
     cells = machine().rates["torch"]
-    found = Machine({way: dict.fromkeys(cells, 1e9 / 2**at) for at, way in enumerate((*ways, "torch"))}, {})
+    found = Machine(
+        {way: dict.fromkeys(cells, 1e9 / 2**at) for at, way in enumerate(dict.fromkeys((*ways, "torch")))}, {}
+    )
     path = kept_in({**os.environ, "XDG_CACHE_HOME": str(cache)})
     path.parent.mkdir(parents=True)
     path.write_text(json.dumps(asdict(found)))
