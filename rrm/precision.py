@@ -4,22 +4,22 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from pydantic import BeforeValidator, ValidationInfo
+from pydantic import ValidationInfo, ValidatorFunctionWrapHandler, WrapValidator
 
 from rrm.tuning import machine
 
 Precision = Literal["float32", "bfloat16"]
 
 
-def _meant(value: object, info: ValidationInfo) -> object:
+def _meant(value: object, handler: ValidatorFunctionWrapHandler, info: ValidationInfo) -> object:
     if value != "auto":
-        return value
-    agent = (info.data or {}).get("agent")  # validated before; missing where it is wrong or the setting stands alone
-    return "float32" if agent is None else native_precision(agent.batch, agent.hidden)
+        return handler(value)
+    agent = (info.data or {}).get("agent")  # missing where it is wrong, which is said then, or in a setting by itself
+    return value if agent is None else native_precision(agent.batch, agent.hidden)
 
 
 #: A setting that may also be "auto"; what is stored is what that meant on the machine that planned the run.
-PrecisionSetting = Annotated[Precision, BeforeValidator(_meant)]
+PrecisionSetting = Annotated[Precision, WrapValidator(_meant)]
 
 
 def native_precision(batch: int, hidden: int) -> Precision:

@@ -15,13 +15,16 @@ import os
 import signal
 import subprocess
 import sys
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass, field
-from functools import cache
+from functools import cache, cached_property
 from importlib.metadata import version
 from pathlib import Path
-from typing import Literal
+from statistics import geometric_mean
+from typing import Annotated, Literal
+
+from pydantic import Field, TypeAdapter
 
 from rrm import files
 from rrm.environ import environment
@@ -30,6 +33,7 @@ from rrm.hardware import cpu_model, extensions
 Form = Literal["forward", "weights", "inputs"]
 Shape = tuple[int, int, int]  #: rows, inputs and outputs of a layer
 Choice = Mapping[str, str]  #: names of ways by `cell(form, shape)`, and by `OTHERWISE`
+Rate = Annotated[float, Field(gt=0, allow_inf_nan=False)]  #: operations a second
 
 #: Of each layer there are three: x w, x' d for the gradient in w, and d w' for that in x.
 FORMS: tuple[Form, ...] = ("forward", "weights", "inputs")
@@ -58,14 +62,40 @@ _CLEARLY = 1.15
 #: So much quicker than exact products must rounded ones be to pay: the rest of an update takes its time all the same.
 _PAYS = 1.3
 
+#: Tries the ways whose names follow.
+TRIAL = (sys.executable, "-m", "rrm.nets.trial")
+
+_ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
+
+#: What the names of variables begin with that tell a library which instructions to use.
+_STEERING = ("ATEN_", "DNNL_", "MKL_", "ONEDNN_", "OPENBLAS_")
+
 
 #: What a way does to its process that is not for this processor, or not what it is taken for.
-_FAULTS = (signal.SIGSEGV, signal.SIGBUS, signal.SIGILL, signal.SIGFPE, signal.SIGABRT)
+_FAULTS = (signal.SIGSEGV, signal.SIGBUS, signal.SIGILL, signal.SIGFPE, signal.SIGABRT, signal.SIGALRM)
 
 
 def cell(form: Form, shape: Shape) -> str:
     """The name of a measured product, such as `weights 512x256x256`."""
     return f"{form} {'x'.join(map(str, shape))}"
+
+
+def in_words(choice: Choice) -> str:
+    """A choice for people, such as `numpy; torch for 1x512x256, 8x512x256 forward/inputs`."""
+    others: dict[str, dict[str, list[str]]] = {}
+    for name, way in choice.items():
+        if name != OTHERWISE:
+            form, _, shape = name.partition(" ")
+            others.setdefault(way, {}).setdefault(shape, []).append(form)
+    return "; ".join([choice[OTHERWISE], *(f"{way} for {_layers(others[way])}" for way in sorted(others))])
+
+
+def _layers(forms: Mapping[str, Sequence[str]]) -> str:
+    """Forms by shape: which of a layer's products are meant; none is named where it is all of them."""
+    return ", ".join(
+        shape if len(forms[shape]) == len(FORMS) else f"{shape} {'/'.join(sorted(forms[shape]))}"
+        for shape in sorted(forms)
+    )
 
 
 @cache
@@ -82,21 +112,21 @@ def nearest(shape: Shape) -> Shape:
 class Machine:
     """What was measured here."""
 
-    rates: Mapping[str, Mapping[str, float]]  #: operations a second, by way and cell
+    rates: Mapping[str, Mapping[str, Rate]]  #: by way and cell
     refused: Mapping[str, str] = field(default_factory=dict)  #: why a way is not taken, by its name
 
-    @property
+    @cached_property
     def choice(self) -> dict[str, str]:
         """The exact way that is the quickest over all cells, and those cells where another is clearly quicker."""
         exact = self._exact
-
-        def mean(way: str) -> float:
-            return sum(map(math.log, exact[way].values()))
-
-        best = max(exact, key=mean)
+        best = max(exact, key=lambda way: geometric_mean(exact[way].values()))
         quickest = {cell: self.best(cell)[0] for cell in exact[best]}
         leave = {cell: way for cell, way in quickest.items() if exact[way][cell] > _CLEARLY * exact[best][cell]}
         return {OTHERWISE: best, **leave}
+
+    def keep(self, chosen: Choice | None) -> Choice:
+        """A choice that was made before, where all its ways are here; else this machine's own."""
+        return chosen if chosen and self._exact.keys() >= set(chosen.values()) else self.choice
 
     def best(self, cell: str) -> tuple[str, float]:
         """The quickest exact way of a cell and its rate."""
@@ -105,11 +135,15 @@ class Machine:
 
     def rounding_pays(self, shape: Shape) -> bool:
         """Whether products of a layer in bfloat16 are so much quicker than exact ones that they are worth it."""
-        if ROUNDED not in self.rates:
-            return False
+        exact, rounded = self.layer(shape)
+        return rounded >= _PAYS * exact
+
+    def layer(self, shape: Shape) -> tuple[float, float]:
+        """Rates of a layer's three products together: exact, each in its best way, and rounded (0 where refused)."""
         cells = [cell(form, nearest(shape)) for form in FORMS]
-        gain = math.prod(self.rates[ROUNDED][name] / self.best(name)[1] for name in cells) ** (1 / len(cells))
-        return gain >= _PAYS
+        rounded = self.rates.get(ROUNDED, {})
+        exact = geometric_mean(self.best(name)[1] for name in cells)
+        return exact, geometric_mean(rounded[name] for name in cells) if rounded else 0.0
 
     @property
     def _exact(self) -> dict[str, Mapping[str, float]]:
@@ -121,17 +155,15 @@ def machine() -> Machine:
     """What was measured on this machine, now where that has not happened before. Processes that start at the same time
     measure once. Where nothing can be kept, the figures hold for this process.
     """
-    path = _folder() / f"products-{_key()}.json"
-    try:
-        files.make_folder(path.parent)
-        with _alone(path.with_suffix(".lock")):
-            stored = _read(path)
-            if stored is None:
-                stored = measure()
-                files.write_atomically(path, json.dumps(asdict(stored), indent=1).encode())
-    except OSError:
-        return measure()
-    return stored
+    path = kept_in()
+    found = _read(path)
+    if found is None:
+        with suppress(OSError):
+            files.make_folder(path.parent)
+            with _alone(path.with_suffix(".lock")):
+                found = _read(path) or measure()
+                files.write_atomically(path, json.dumps(asdict(found), indent=1).encode())
+    return found or measure()
 
 
 def measure() -> Machine:
@@ -141,11 +173,11 @@ def measure() -> Machine:
     """
     rates: dict[str, dict[str, float]] = {}
     refused: dict[str, str] = {}
-    variables = environment() | dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
     rest = [*EXACT, ROUNDED]
     while rest:
-        command = [sys.executable, "-m", "rrm.nets.trial", *rest]
-        done = subprocess.run(command, capture_output=True, text=True, env=variables, check=False)
+        done = subprocess.run(
+            [*TRIAL, *rest], capture_output=True, text=True, env=environment() | _ONE_THREAD, check=False
+        )
         for line in done.stdout.splitlines():
             found = json.loads(line)
             rest.remove(found["way"])
@@ -153,32 +185,41 @@ def measure() -> Machine:
                 refused[found["way"]] = found["refused"]
             else:
                 rates[found["way"]] = found["rates"]
-        if -done.returncode in _FAULTS and rates:
+        if rest and rates and -done.returncode in _FAULTS:
             refused[rest.pop(0)] = f"trying it ended by {signal.Signals(-done.returncode).name}"
-        elif done.returncode:
-            raise RuntimeError(f"products could not be measured (exit code {done.returncode}): {done.stderr}")
+        elif rest:
+            raise RuntimeError(f"products could not be measured (exit code {done.returncode}): {done.stderr.strip()}")
     return Machine(rates, refused)
 
 
-def _folder(environ: Mapping[str, str] = os.environ) -> Path:
-    """Where measurements of this machine are kept."""
-    return Path(environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "rrm"
-
-
-def _key() -> str:
-    """Of this processor, these libraries, and what is measured how."""
+def kept_in(environ: Mapping[str, str] = os.environ) -> Path:
+    """The file where the measurements of this processor and these libraries are kept, or would be."""
     here = Path(__file__).parent
     sources = [(here / name).read_bytes() for name in ("tuning.py", "nets/program.py", "nets/trial.py", "nets/ways.py")]
-    facts = (cpu_model(), sorted(extensions()), version("torch"), version("numpy"), *sources)
-    return hashlib.sha256(repr(facts).encode()).hexdigest()[:16]
+    steering = sorted((n, value) for n, value in environ.items() if n.startswith(_STEERING) and n not in _ONE_THREAD)
+    facts = (cpu_model(), sorted(extensions()), version("torch"), version("numpy"), steering, *sources)
+    digest = hashlib.sha256(repr(facts).encode()).hexdigest()[:16]
+    return _cache(environ) / "rrm" / f"products-{digest}.json"
+
+
+def _cache(environ: Mapping[str, str]) -> Path:
+    if named := environ.get("XDG_CACHE_HOME"):
+        return Path(named)
+    try:
+        return Path.home() / ".cache"
+    except RuntimeError:  # nobody has a home: nothing can be kept
+        return Path(os.devnull)
 
 
 def _read(path: Path) -> Machine | None:
     """What is kept; None where there is nothing, or nothing that can be read."""
     try:
-        return Machine(**json.loads(files.read_bounded(path, 1 << 20)))
-    except (OSError, ValueError, TypeError):
+        found = TypeAdapter(Machine).validate_json(files.read_bounded(path, 1 << 20))
+    except (OSError, ValueError):
         return None
+    cells = {cell(form, shape) for form in FORMS for shape in SHAPES}
+    known = {EXACT[0]} <= found.rates.keys() <= {*EXACT, ROUNDED}
+    return found if known and all(rates.keys() == cells for rates in found.rates.values()) else None
 
 
 @contextmanager

@@ -18,6 +18,7 @@ from typing import Literal
 
 from rrm.environ import environment
 from rrm.hardware import cpu_model, extensions, usable_cores
+from rrm.tuning import OTHERWISE, ROUNDED, Machine, Shape, cell, in_words, kept_in, machine
 from rrmctl.errors import UserError
 from rrmctl.planning.experiments import SHIPPED, available
 
@@ -25,6 +26,9 @@ DISTRIBUTION = "rrmctl"
 
 #: Below this the final networks and checkpoints of a sweep may not fit.
 _DISK_NEEDED = 2 * 1024**3
+
+#: Layers of the paper's networks and of a laptop's: batch, inputs, outputs.
+_LARGE, _SMALL = (512, 256, 256), (128, 128, 128)
 
 _RENDER = (
     "import mujoco as m; k=m.MjModel.from_xml_string('<mujoco><worldbody><geom size=\"1\"/></worldbody></mujoco>');"
@@ -59,7 +63,7 @@ def examine(results: Path, experiments: Path | None) -> Iterator[Check]:
     yield _needed("simulators", problem is None, state, "reinstall: pip install --force-reinstall the package it names")
     yield Check("cores", "ok", f"{usable_cores()} usable of {os.cpu_count()} ({cpu_model()}); one job keeps one busy")
     yield Check("threads", "ok", "one per worker, whatever is set in this shell")
-    yield precision()
+    yield from arithmetic()
     yield from folders(results, experiments)
     yield rendering()
 
@@ -95,14 +99,50 @@ def package(name: str, specifier: str, *, needed: bool) -> Check:
     return Check(name, "missing" if needed else "note", found, fix)
 
 
-def precision(cpuinfo: Path = Path("/proc/cpuinfo")) -> Check:
-    """Float32 is what runs compute in unless told otherwise; bfloat16 is faster where the processor has it."""
-    flags = extensions(cpuinfo)
+def arithmetic(cpuinfo: Path = Path("/proc/cpuinfo")) -> Iterator[Check]:
+    """Which ways the products of networks go, and whether bfloat16 is there and pays; measured where nobody has yet."""
+    try:
+        here = machine()
+    except RuntimeError as error:
+        yield Check("products", "missing", str(error).splitlines()[-1], "reinstall: pip install --force-reinstall torch")
+        return
+    best, large = here.choice[OTHERWISE], cell("forward", _LARGE)
+    quickest = f"{in_words(here.choice)}; {_rate(here.rates[best][large])} at {_sides(_LARGE)} forward"
+    beside = "" if best == "torch" else f", torch by itself {_rate(here.rates['torch'][large])}"
+    refused = [f"; not {way}: {reason}" for way, reason in here.refused.items() if way != ROUNDED]
+    found, file = "".join([quickest, beside, *refused]), kept_in()
+    if file.is_file():
+        yield Check("products", "ok", found)
+    else:
+        lost = f"; not kept, {file.parent} cannot be written: every run measures again"
+        yield Check("products", "note", found + lost, "set XDG_CACHE_HOME to a folder that can be written")
+    yield Check("precision", "ok", "; ".join([*_precision(here), _vectors(extensions(cpuinfo))]))
+
+
+def _precision(here: Machine) -> Iterator[str]:
+    if ROUNDED in here.refused:
+        yield f"float32; not {ROUNDED}: {here.refused[ROUNDED]}"
+        return
+    yield f"float32 or {ROUNDED}"
+    for shape in (_LARGE, _SMALL):
+        meant = ROUNDED if here.rounding_pays(shape) else "float32"
+        exact, rounded = here.layer(shape)
+        yield f'"auto" is {meant} at {_sides(shape)} ({ROUNDED} {_rate(rounded)}, float32 {_rate(exact)})'
+
+
+def _vectors(flags: frozenset[str]) -> str:
     if not flags:
-        return Check("precision", "ok", "float32; this system does not tell its vector extensions")
+        return "this system does not tell its vector extensions"
     there = [name for name in ("avx2", "avx512f", "avx512_bf16", "amx_bf16", "asimd", "bf16") if name in flags]
-    offered = "float32 or bfloat16" if "amx_bf16" in flags else "float32"
-    return Check("precision", "ok", f"{offered}; vector extensions: {', '.join(there) or 'none known'}")
+    return f"vector extensions: {', '.join(there) or 'none known'}"
+
+
+def _sides(shape: Shape) -> str:
+    return "x".join(map(str, shape))
+
+
+def _rate(rate: float) -> str:
+    return f"{rate / 1e9:.0f} GFLOP/s"
 
 
 def folders(results: Path, experiments: Path | None) -> Iterator[Check]:
@@ -123,7 +163,7 @@ def folders(results: Path, experiments: Path | None) -> Iterator[Check]:
     except UserError as error:
         yield Check("experiments", "missing", str(error), error.hint or "")
         return
-    shipped = sum(path.parent == SHIPPED for path in manifests)
+    shipped = sum(path.resolve().parent == SHIPPED for path in manifests)
     counts = f"{shipped} of rrmctl, {len(manifests) - shipped} of yours"
     yield _needed("experiments", shipped > 0, counts, "reinstall rrmctl: those that come with it are gone")
 

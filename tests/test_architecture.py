@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import json
+import os
 import subprocess
 import sys
 import tomllib
@@ -241,16 +242,18 @@ def test_arrays_are_read_without_pickles() -> None:
             assert function not in ("read_pickle", "unsafe_load"), module
 
 
-def test_planning_needs_no_torch() -> None:
-    """Ten thousand jobs are planned without the learning library or a simulator."""
+def test_planning_needs_no_torch(tmp_path: Path) -> None:
+    """Ten thousand jobs are planned without the learning library or a simulator, and nothing is measured."""
     code = (
         "from pathlib import Path; from rrmctl.planning.manifest import load;"
         "from rrmctl.planning.plan import make_plan;"
         "make_plan(load(Path('experiments/main-results.toml'))); import sys;"
         "print([m for m in ('torch', 'mujoco', 'metaworld', 'pandas') if m in sys.modules])"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=ROOT)
+    own = os.environ | {"XDG_CACHE_HOME": str(tmp_path)}
+    done = subprocess.run([sys.executable, "-c", code], env=own, capture_output=True, text=True, check=True, cwd=ROOT)
     assert done.stdout == "[]\n"
+    assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.parametrize("name", sorted(PRIORS))

@@ -10,32 +10,11 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-import torch
-
 from rrm.errors import ConfigError
 from rrm.hardware import extensions
 
 if TYPE_CHECKING:
     from rrm.precision import Precision
-
-_TORCH: dict[Precision, str] = {"float32": "highest", "bfloat16": "medium"}
-
-
-class Multiplying:
-    """`with Multiplying("bfloat16"):` float32 products are computed so inside; torch's own setting returns after."""
-
-    __slots__ = ("_before", "_setting")
-
-    def __init__(self, precision: Precision) -> None:
-        self._setting = _TORCH[precision]
-        self._before = self._setting
-
-    def __enter__(self) -> None:
-        self._before = torch.get_float32_matmul_precision()
-        torch.set_float32_matmul_precision(self._setting)
-
-    def __exit__(self, *_: object) -> None:
-        torch.set_float32_matmul_precision(self._before)
 
 
 def multiplies(precision: Precision) -> bool:

@@ -9,9 +9,12 @@ from __future__ import annotations
 
 import json
 import math
+import os
+import signal
 import sys
 import time
 from collections.abc import Sequence
+from typing import TextIO
 
 import torch
 
@@ -22,17 +25,22 @@ from rrm.tuning import FORMS, ROUNDED, SHAPES, cell
 
 _TURNS, _TURN_S = 3, 0.002
 
+#: So long may one way take; it is a second at the most. Then the system ends this process.
+_PATIENCE_S = 120
+
 #: The largest error of one sum of products of normal numbers, over the root of how many there are: what float32
 #: explains, with room for any order of adding up, and what factors rounded to bfloat16 do.
 _ERROR = {False: 2.0**-15, True: 2.0**-3}
 
 
-def main(names: Sequence[str]) -> None:
+def main(names: Sequence[str], output: TextIO) -> None:
     """Try the ways of these names in turn."""
     torch.set_num_threads(1)
     for name in names:
+        signal.alarm(_PATIENCE_S)
         rates, refused = attempt(name)
-        print(json.dumps({"way": name, "rates": rates, "refused": refused}), flush=True)  # noqa: T201
+        output.write(json.dumps({"way": name, "rates": rates, "refused": refused}) + "\n")
+        output.flush()
 
 
 def attempt(name: str) -> tuple[dict[str, float], str]:
@@ -72,5 +80,12 @@ def _seconds(work: Work) -> float:
     return best
 
 
+def alone() -> TextIO:
+    """Standard output for us alone: libraries that are told to be verbose write to standard error from now on."""
+    ours = os.fdopen(os.dup(1), "w")
+    os.dup2(2, 1)
+    return ours
+
+
 if __name__ == "__main__":
-    main(sys.argv[1:])
+    main(sys.argv[1:], alone())

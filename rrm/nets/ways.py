@@ -18,7 +18,6 @@ import torch
 from torch import Tensor
 
 from rrm.hardware import extensions
-from rrm.nets.precision import Multiplying
 from rrm.nets.program import CALL, Coded, Work
 
 if TYPE_CHECKING:
@@ -27,15 +26,33 @@ if TYPE_CHECKING:
 Way = Callable[[Tensor, Tensor, Tensor], Work]
 
 
+class _Setting:
+    """How exact torch's products are inside; what the process had set returns after."""
+
+    __slots__ = ("_before", "_exactness")
+
+    def __init__(self, exactness: str) -> None:
+        self._exactness = self._before = exactness
+
+    def __enter__(self) -> None:
+        self._before = torch.get_float32_matmul_precision()
+        torch.set_float32_matmul_precision(self._exactness)
+
+    def __exit__(self, *_: object) -> None:
+        torch.set_float32_matmul_precision(self._before)
+
+
 def by_torch(a: Tensor, b: Tensor, out: Tensor) -> Work:
     """`torch.bmm`, on any device and in any precision that torch has."""
-    return partial(torch.bmm, a, b, out=out)
+    return _within(_Setting("highest"), a, b, out)
 
 
 def by_onednn(a: Tensor, b: Tensor, out: Tensor) -> Work:
     """oneDNN, by way of torch's setting that also permits rounding: exact only where the processor cannot round."""
-    setting = Multiplying("bfloat16")
+    return _within(_Setting("medium"), a, b, out)
 
+
+def _within(setting: _Setting, a: Tensor, b: Tensor, out: Tensor) -> Work:
     def work() -> None:
         with setting:
             torch.bmm(a, b, out=out)
@@ -88,7 +105,7 @@ def _layout(matrix: Tensor) -> tuple[bytes, int]:
     """Whether a matrix lies transposed (T) or not (N), and the distance between its rows in memory."""
     rows, columns = matrix.shape
     along_rows, along_columns = matrix.stride()
-    if along_columns == 1 or (columns == 1 and along_rows != 1):
+    if along_columns == 1 or columns == 1:
         return b"N", max(along_rows, columns)
     return b"T", max(along_columns, rows)
 
@@ -117,5 +134,10 @@ WAYS: Mapping[str, Way] = {
 
 
 def fits(*matrices: Tensor) -> bool:
-    """Whether the rows or the columns of every matrix lie together, as all ways but torch's want them."""
-    return all(1 in matrix.stride()[-2:] for matrix in matrices)
+    """Whether the rows or the columns of every matrix lie together, one after another, as all ways but torch's want."""
+    return all(_in_lines(*matrix.shape[-2:], *matrix.stride()[-2:]) for matrix in matrices)
+
+
+def _in_lines(rows: int, columns: int, along_rows: int, along_columns: int) -> bool:
+    by_rows = along_columns == 1 and (along_rows >= columns or rows == 1)
+    return by_rows or (along_rows == 1 and (along_columns >= rows or columns == 1))

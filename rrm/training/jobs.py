@@ -18,12 +18,14 @@ from rrm.checkpoint import Checkpoints, check_finite, encode
 from rrm.envs import make
 from rrm.errors import NumericalError, PriorError, WaitingError
 from rrm.files import make_folder, write_atomically
+from rrm.nets import products
 from rrm.registry import lookup
 from rrm.training.build import DEMOS, NO_RESULTS, Assembled, Results, assemble, result_of
 from rrm.training.episodes import demonstrate, expert_policy
 from rrm.training.kinds import JOBS, DemosConfig
 from rrm.training.loop import Trainer
 from rrm.training.run_config import JobConfig, RunConfig
+from rrm.tuning import Choice, machine
 from rrm.types import EvalRow, State
 
 _BEAT_S = 0.25
@@ -59,6 +61,15 @@ def perform(config: JobConfig, folder: Path, monitor: Monitor, results: Results 
     does = lookup({config.kind: JOBS[config.kind].perform}, "kind of job", config.kind)
     finished: bool = does(config, folder, monitor, results)
     return finished
+
+
+def choose_products(earlier: Choice | None) -> Choice:
+    """Have networks multiply as they did before, where that can be, else as is the quickest on this machine. Returns
+    what that is. Without a call it is the machine's own.
+    """
+    chosen = machine().keep(earlier)
+    products.use(chosen)
+    return chosen
 
 
 def fingerprint(config: JobConfig) -> dict[str, str]:

@@ -145,7 +145,7 @@ def doctor(
     experiments: options.ExperimentsOption = None,
     as_json: options.JsonOption = False,
 ) -> None:
-    """Check this machine: versions, simulators, rendering, cores, precision, disk. Says what is missing and the fix.
+    """Check this machine: versions, simulators, rendering, cores, arithmetic, disk. Says what is missing and the fix.
 
     Ends with 1 where something that is needed is missing. A note stops nothing: rendering and pybullet are for tasks
     that see images or drive the simulated robot arm.

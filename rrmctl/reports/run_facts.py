@@ -7,6 +7,7 @@ from collections import Counter
 from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any
 
+from rrm.tuning import in_words
 from rrmctl.labels import Label
 from rrmctl.store.frame import NUMBER, TEXT, WHOLE, frame, typed
 from rrmctl.store.records import settings
@@ -22,7 +23,7 @@ GROUP = Label._fields
 _IDENTITY = ("id", "cell", "seed", "task", "method", "profile")
 
 #: Of a provenance, what can change a number.
-_MAKING = ("code", "python", "platform", "cpu", "host", "precision", "threads", "versions", "fingerprint")
+_MAKING = ("code", "python", "platform", "cpu", "host", "precision", "threads", "products", "versions", "fingerprint")
 
 _SPENT = dict.fromkeys(("runs", "done", "steps", "queries", "labels"), WHOLE) | {"wall_s": NUMBER}
 
@@ -106,6 +107,7 @@ def makings(runs: Iterable[Run]) -> pd.DataFrame:
 
 def _making(run: Run) -> dict[str, str]:
     facts = {name: value for name, value in (run.provenance or {}).items() if name in _MAKING}
+    facts["products"] = in_words(facts["products"])
     version = (run.config or {}).get("config_version")
     return {name: str(value) for name, value in settings({"config_version": version, **facts}).items()}
 

@@ -40,6 +40,7 @@ from rrmctl.terminal import attend
 if TYPE_CHECKING:
     from rrm.training.jobs import Monitor
     from rrm.training.run_config import JobConfig
+    from rrm.tuning import Choice
 
 _T = TypeVar("_T")
 
@@ -65,6 +66,9 @@ class Trainable(Protocol):
 
     def fingerprint(self, config: JobConfig) -> dict[str, str]:
         """Which environment this is."""
+
+    def choose_products(self, earlier: Choice | None) -> Choice:
+        """Multiply as an earlier attempt did, where that can be. Returns how products are made from now on."""
 
 
 def main(argv: Sequence[str] | None = None, trainer: Trainable | None = None) -> WorkerExit:
@@ -141,9 +145,12 @@ def _attempt(
                     from rrm.training import jobs
 
                     trainer = jobs
-                facts = provenance.collect(stored, trainer.fingerprint(config), given.asked, status.attempt)
                 with lease.writing():
-                    changes = _healed(folder.provenance, pipe, lambda: provenance.record(folder, facts))
+                    earlier = _healed(folder.provenance, pipe, lambda: provenance.read_provenance(folder))
+                products = trainer.choose_products(earlier["products"] if earlier else None)
+                facts = provenance.collect(stored, trainer.fingerprint(config), products, given.asked, status.attempt)
+                with lease.writing():
+                    changes = provenance.record(folder, facts)
                 for change in changes:
                     pipe.note(f"differs from the attempt before: {change}")
     except Leave:

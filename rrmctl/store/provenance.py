@@ -18,6 +18,7 @@ from pydantic import AfterValidator, StrictInt, StrictStr
 
 import rrm
 from rrm.hardware import cpu_model
+from rrm.tuning import OTHERWISE, Choice, in_words
 from rrmctl.errors import UserError
 from rrmctl.store.files import DamagedError, set_aside
 from rrmctl.store.layout import RunFolder
@@ -31,6 +32,9 @@ PACKAGES = (
 
 #: Facts that cannot change a run's numbers, and are not compared on resumption.
 _CIRCUMSTANCES = ("started", "host", "argv", "attempt")
+
+#: How runs multiplied that were recorded before there was a choice.
+_ONLY_WAY = {OTHERWISE: "torch"}
 
 #: What to do about a configuration that is not what it should be.
 CONFIG_HINT = "run its experiment again: `rrmctl run NAME` writes it anew"
@@ -66,12 +70,13 @@ def record_config(folder: RunFolder, content: dict[str, Any]) -> str | None:
 
 
 def collect(
-    config: Mapping[str, Any], fingerprint: Mapping[str, str], argv: Sequence[str], attempt: int
+    config: Mapping[str, Any], fingerprint: Mapping[str, str], products: Choice, argv: Sequence[str], attempt: int
 ) -> dict[str, Any]:
     """Facts about an attempt of this number that starts now, in this process.
 
     Args:
         fingerprint: of the environment: its packages, and a hash of its true reward on fixed states.
+        products: which ways its networks' products go.
         argv: the command that asked for the run.
     """
     return {
@@ -84,6 +89,7 @@ def collect(
         "fingerprint": dict(fingerprint),
         "precision": str(config["precision"]),
         "threads": int(config["threads"]),
+        "products": dict(products),
         "started": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
         "host": socket.gethostname(),
         "argv": list(argv),
@@ -97,13 +103,20 @@ def read_provenance(folder: RunFolder) -> dict[str, Any] | None:
     stored = read_json(folder.provenance, hint)
     if stored is not None:
         check_version(stored.get("schema_version"), folder.provenance, hint)
-        validated(_Recorded, stored, folder.provenance, hint, "started argv versions resumed")
+        validated(_Recorded, stored, folder.provenance, hint, "started argv versions resumed products")
+        stored.setdefault("products", _ONLY_WAY)
     return stored
 
 
 @dataclasses.dataclass(frozen=True)
 class _Resumption:
     changes: dict[str, tuple[Any, Any]]  #: before and after, by name
+
+
+def _complete(products: Choice) -> Choice:
+    if OTHERWISE not in products:
+        raise ValueError(f'it lacks "{OTHERWISE}"')
+    return products
 
 
 @dataclasses.dataclass(frozen=True)
@@ -113,6 +126,9 @@ class _Recorded:
     started: Annotated[StrictStr, AfterValidator(datetime.datetime.fromisoformat)] = ""
     argv: tuple[StrictStr, ...] = ()
     versions: dict[str, Any] = dataclasses.field(default_factory=dict)
+    products: Annotated[dict[str, StrictStr], AfterValidator(_complete)] = dataclasses.field(
+        default_factory=lambda: _ONLY_WAY
+    )
     resumed: tuple[_Resumption, ...] = ()
 
 
@@ -182,7 +198,8 @@ def code_digest(package: str) -> str:
 
 
 def _flat(facts: Mapping[str, Any]) -> dict[str, str]:
-    """The compared facts as text, by dotted name."""
+    """The compared facts as text, by dotted name; the ways of products are one of them."""
     left_out = (*_CIRCUMSTANCES, "resumed", "lost", "schema_version")
     compared = {name: value for name, value in facts.items() if name not in left_out}
+    compared["products"] = in_words(facts["products"])
     return {name: str(value) for name, value in settings(compared).items()}

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import os
+import sys
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from itertools import islice
 from pathlib import Path
 
 import pytest
 
+from rrm import tuning
+from rrm.tuning import EXACT, FORMS, ROUNDED, SHAPES, Machine, cell, measure
 from rrmctl import doctor
 from rrmctl.planning.experiments import SHIPPED
 
@@ -98,9 +101,85 @@ def test_experiments_folder(tmp_path: Path) -> None:
     assert {c.name: c.state for c in doctor.folders(tmp_path, tmp_path / "no")}["experiments"] == "missing"
 
 
-def test_vector_extensions(tmp_path: Path) -> None:
-    """Formats the processor computes in are read from the system's description, where it has one."""
-    info = tmp_path / "cpuinfo"
+def test_shipped_manifests_are_known_from_where_they_are(monkeypatch: pytest.MonkeyPatch) -> None:
+    """In the repository's own folder those that come with the program are not the user's."""
+    monkeypatch.chdir(SHIPPED.parent)
+    (check,) = [c for c in doctor.folders(Path("results"), None) if c.name == "experiments"]
+    assert (check.state, check.found) == ("ok", f"{len(list(SHIPPED.glob('*.toml')))} of rrmctl, 0 of yours")
+
+
+CELLS = [cell(form, shape) for form in FORMS for shape in SHAPES]
+
+
+def measured(**rates: float) -> Machine:
+    """A machine whose ways are so quick in GFLOP/s, and bfloat16 half of that for small batches."""
+    found = {way.replace("_", "-"): dict.fromkeys(CELLS, 1e9 * rate) for way, rate in rates.items()}
+    for name in found.get(ROUNDED, {}):
+        found[ROUNDED][name] /= 1 if "512x" in name else 2
+    missing = dict.fromkeys([way for way in (*EXACT, ROUNDED) if way not in found], "this torch does not have it")
+    return Machine(found, missing)
+
+
+@pytest.fixture
+def arithmetic(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Callable[..., dict[str, doctor.Check]]:
+    """The checks of a machine with these rates, whose figures are kept."""
+    kept, info = tmp_path / "kept", tmp_path / "cpuinfo"
+    kept.touch()
     info.write_text("processor\t: 0\nflags\t\t: fpu sse2 avx2 amx_bf16\n")
-    assert doctor.precision(info).found == "float32 or bfloat16; vector extensions: avx2, amx_bf16"
-    assert "does not tell" in doctor.precision(tmp_path / "absent").found
+    monkeypatch.setattr(doctor, "kept_in", lambda: kept)
+
+    def examine(machine: Machine) -> dict[str, doctor.Check]:
+        monkeypatch.setattr(doctor, "machine", lambda: machine)
+        return {check.name: check for check in doctor.arithmetic(info)}
+
+    return examine
+
+
+def test_ways_of_products(arithmetic: Callable[..., dict[str, doctor.Check]]) -> None:
+    """The quickest, torch's own beside it, what goes another way, and what is refused and why."""
+    machine = measured(torch=110, numpy=130, mkl_avx2=120)
+    machine.rates["torch"][CELLS[1]] = 1e12  # type: ignore[index]
+    machine.refused["onednn"] = "trying it ended by SIGSEGV"  # type: ignore[index]
+    found = arithmetic(machine)["products"]
+    assert found.state == "ok"
+    assert found.found == (
+        "numpy; torch for 128x128x128 forward; 130 GFLOP/s at 512x256x256 forward, torch by itself 110 GFLOP/s; "
+        "not onednn: trying it ended by SIGSEGV; not mkl-avx512: this torch does not have it"
+    )
+    assert arithmetic(measured(torch=130, numpy=120))["products"].found.startswith(
+        "torch; 130 GFLOP/s at 512x256x256 forward; not onednn"
+    )
+
+
+def test_precisions(arithmetic: Callable[..., dict[str, doctor.Check]]) -> None:
+    """Which are there, and what "auto" takes for large and small batches, with the rates that decide."""
+    assert arithmetic(measured(torch=100, bfloat16=180))["precision"].found == (
+        'float32 or bfloat16; "auto" is bfloat16 at 512x256x256 (bfloat16 180 GFLOP/s, float32 100 GFLOP/s); '
+        '"auto" is float32 at 128x128x128 (bfloat16 90 GFLOP/s, float32 100 GFLOP/s); '
+        "vector extensions: avx2, amx_bf16"
+    )
+    without = arithmetic(measured(torch=100))["precision"].found
+    assert without.startswith("float32; not bfloat16: this torch does not have it; vector")
+
+
+def test_a_system_that_does_not_tell_its_extensions(tmp_path: Path) -> None:
+    """Nothing is wrong with it."""
+    assert [check.state for check in doctor.arithmetic(tmp_path / "absent")] == ["ok", "ok"]
+
+
+def test_figures_that_cannot_be_kept(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """A note, with the variable that names another place."""
+    monkeypatch.setattr(doctor, "kept_in", lambda: tmp_path / "rrm" / "products.json")
+    found = next(doctor.arithmetic())
+    assert found.state == "note"
+    assert f"not kept, {tmp_path / 'rrm'} cannot be written" in found.found
+    assert "XDG_CACHE_HOME" in found.fix
+
+
+def test_a_torch_that_does_not_compute(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """It is missing, with its last words; the checks behind it are made all the same."""
+    monkeypatch.setattr(doctor, "machine", measure)
+    monkeypatch.setattr(tuning, "TRIAL", (sys.executable, "-c", "import torch_that_is_broken"))
+    (found,) = doctor.arithmetic()
+    assert found.state == "missing"
+    assert "No module named 'torch_that_is_broken'" in found.found

@@ -9,6 +9,7 @@ import pytest
 
 from rrmctl.errors import UserError
 from rrmctl.planning import manifest
+from rrmctl.planning.settings import Layer
 
 GOOD = """
 title = "T"
@@ -32,6 +33,14 @@ def refused(folder: Path, text: str) -> str:
     with pytest.raises(UserError) as caught:
         manifest.load(write(folder, text))
     return str(caught.value)
+
+
+@pytest.mark.parametrize("precision", ["float32", "bfloat16", "auto"])
+def test_a_precision_is_checked_by_itself(precision: str) -> None:
+    """What "auto" means is settled later, where batch and hidden units are known."""
+    assert Layer.read("here", {"precision": precision}).settings == {"precision": precision}
+    with pytest.raises(UserError, match="precision = 'float16': Input should be 'float32' or"):
+        Layer.read("here", {"precision": "float16"})
 
 
 def test_small_manifest(tmp_path: Path) -> None:

@@ -52,6 +52,15 @@ def test_equal_making_is_no_matter(tmp_path):
     assert (section.mixed, section.remarks, section.problems) == ((), (), ())
 
 
+@pytest.mark.parametrize("facts", [{"cpu": "Another"}, {"products": {"otherwise": "numpy"}}], ids=["cpu", "products"])
+def test_what_only_rounds_otherwise_is_no_matter(tmp_path, facts):
+    """Another processor, and other libraries that multiply, also from an attempt on."""
+    resumed = [{"changes": {name: ["torch", "numpy"] for name in facts}}]
+    Sweep(recorded={SEEDS[1]: changed(**facts), SEEDS[2]: changed(resumed=resumed)}).write(tmp_path)
+    (section,) = read_sections(tmp_path)
+    assert (section.mixed, section.remarks, section.problems) == ((), (), ())
+
+
 def test_configuration_versions_do_not_meet(tmp_path):
     """Old and new runs in one experiment are refused; the message names them and the command that trains them anew."""
     Sweep(versions=old("pebble", 0, 1, 2, 3, 4)).write(tmp_path)

@@ -23,6 +23,7 @@ from typing import Any
 from rrm.config import EvaluationConfig, ExplorationConfig, RewardConfig
 from rrm.errors import PriorError, WaitingError
 from rrm.training.run_config import RunConfig
+from rrm.tuning import OTHERWISE, Choice
 from rrm.types import EvalRow
 from rrmctl.running import parent_link, worker
 from rrmctl.running.config_file import config_content
@@ -90,6 +91,9 @@ class Trainer:
 
     def fingerprint(self, config: RunConfig) -> dict[str, str]:
         return {"toy-car": os.environ.get("STANDIN_WORLD", "1")}
+
+    def choose_products(self, earlier: Choice | None) -> Choice:
+        return earlier or {OTHERWISE: "torch"}
 
     def perform(self, config: RunConfig, folder: Path, monitor: RunMonitor, results: dict[str, Path]) -> bool:
         behaviours = json.loads(os.environ.get("STANDIN", "{}"))

@@ -12,6 +12,7 @@ import pytest
 from rrm.config import AgentConfig, EvaluationConfig, ExplorationConfig, FeedbackConfig, RewardConfig
 from rrm.training import jobs
 from rrm.training.run_config import RunConfig
+from rrm.tuning import Choice
 from rrmctl.running.config_file import config_content
 from rrmctl.running.monitor import RunMonitor
 from rrmctl.running.worker import WorkerExit, main
@@ -50,6 +51,9 @@ class Impatient:
 
     def fingerprint(self, config: RunConfig) -> dict[str, str]:
         return jobs.fingerprint(config)
+
+    def choose_products(self, earlier: Choice | None) -> Choice:
+        return jobs.choose_products(earlier)
 
     def perform(self, config: RunConfig, folder: Path, monitor: RunMonitor, results: Mapping[str, Path]) -> bool:
         if self._stop_at is not None:

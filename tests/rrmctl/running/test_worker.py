@@ -17,6 +17,7 @@ from rrm.config import ConfigSection, FeedbackConfig, ImitationConfig, RewardCon
 from rrm.envs.tasks import TASKS, Task
 from rrm.training.kinds import JOBS, JobKind
 from rrm.training.run_config import RunConfig
+from rrm.tuning import OTHERWISE
 from rrmctl.running.config_file import config_content, load_config
 from rrmctl.running.monitor import RunMonitor
 from rrmctl.running.worker import WorkerExit, main
@@ -214,6 +215,18 @@ def test_a_run_without_its_history_looks_mixed(folder: RunFolder, monkeypatch: p
     assert provenance.made_with(provenance.read_provenance(folder))["fingerprint.toy-car"] == "unknown, then 2"
     assert work(folder, "--fresh", "2") is WorkerExit.DONE
     assert provenance.made_with(provenance.read_provenance(folder))["fingerprint.toy-car"] == "2"
+
+
+def test_a_resumed_run_is_told_how_it_multiplied(folder: RunFolder, capsys: pytest.CaptureFixture[str]) -> None:
+    """By its first attempt; going on so is no change."""
+    work(folder)
+    folder.model.unlink()
+    write_status(folder, dataclasses.replace(read_status(folder), state=RunState.INTERRUPTED))
+    content = provenance.read_provenance(folder) or {}
+    records.write_json(folder.provenance, content | {"products": {OTHERWISE: "numpy"}})
+    assert work(folder) is WorkerExit.DONE
+    assert "differs" not in capsys.readouterr().out
+    assert provenance.made_with(provenance.read_provenance(folder))["products"] == "numpy"
 
 
 def test_a_configuration_that_was_edited_is_refused(folder: RunFolder) -> None:

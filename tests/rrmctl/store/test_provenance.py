@@ -8,6 +8,8 @@ from pathlib import Path
 import pytest
 
 from rrm.hardware import usable_cores
+from rrm.tuning import OTHERWISE
+from rrmctl.store.files import DamagedError
 from rrmctl.store.layout import Layout, RunFolder
 from rrmctl.store.provenance import code_digest, collect, made_with, read_provenance, record
 
@@ -15,7 +17,8 @@ CONFIG = {"precision": "float32", "threads": 1, "task": "toy-car"}
 
 
 def now(**changes: object) -> dict[str, object]:
-    told = collect(CONFIG, {"metaworld": "3.1.1", "reward": "abc"}, ["rrmctl", "run", "toy-car"], attempt=1)
+    world, argv = {"metaworld": "3.1.1", "reward": "abc"}, ["rrmctl", "run", "toy-car"]
+    told = collect(CONFIG, world, {OTHERWISE: "numpy"}, argv, attempt=1)
     return told | changes
 
 
@@ -52,6 +55,30 @@ def test_every_change_is_told_once_with_both_values(folder: RunFolder) -> None:
     assert record(folder, now(threads=2, fingerprint={"reward": "xyz"})) == ["fingerprint.metaworld: 3.1.1 -> absent"]
     assert record(folder, now(threads=2, fingerprint={"reward": "xyz"})) == []
     assert len(json.loads(folder.provenance.read_text())["resumed"]) == 3
+
+
+def test_another_choice_of_products_is_one_change(folder: RunFolder) -> None:
+    """It is told whole, however many products it speaks of."""
+    record(folder, now(products={OTHERWISE: "mkl-avx2", "inputs 1x128x128": "torch", "forward 8x128x128": "torch"}))
+    (told,) = record(folder, now())
+    assert told == "products: mkl-avx2; torch for 1x128x128 inputs, 8x128x128 forward -> numpy"
+
+
+def test_a_run_from_before_there_was_a_choice(folder: RunFolder) -> None:
+    """It multiplied as torch does by itself; going on so is no change."""
+    record(folder, {name: value for name, value in now().items() if name != "products"})
+    assert (read_provenance(folder) or {})["products"] == {OTHERWISE: "torch"}
+    assert record(folder, now(products={OTHERWISE: "torch"})) == []
+
+
+@pytest.mark.parametrize("products", [[], {}, {OTHERWISE: 1}, {"inputs 1x128x128": "torch"}])
+def test_a_choice_that_is_none_is_damage(folder: RunFolder, products: object) -> None:
+    """Whoever reads it can rely on it."""
+    record(folder, now() | {"products": {OTHERWISE: "torch"}})
+    content = json.loads(folder.provenance.read_text()) | {"products": products}
+    folder.provenance.write_text(json.dumps(content))
+    with pytest.raises(DamagedError, match=r"provenance.json is damaged: .*products"):
+        read_provenance(folder)
 
 
 @pytest.mark.parametrize("trained", ["curve", "checkpoint"])

@@ -13,6 +13,7 @@ from pathlib import Path
 
 import pytest
 
+from rrm.tuning import OTHERWISE
 from rrmctl.errors import UserError
 from rrmctl.store import load, planned
 from rrmctl.store.curve import CurveWriter
@@ -151,7 +152,7 @@ def test_another_version_is_not_damage(tmp_path: Path) -> None:
     folder = layout.run(jobs[0].id)
     write_status(folder, Status())
     begin_trial(layout, "stand-in", "smoke", Trial(group=1, looks=1, alpha=0.1, pairs=()))
-    record_provenance(folder, collect(read_config(folder), {}, [], 1))
+    record_provenance(folder, collect(read_config(folder), {}, {OTHERWISE: "torch"}, [], 1))
     looks = {
         folder.status: [lambda: read_status(folder), lambda: run_status(folder), lambda: load(tmp_path)],
         folder.provenance: [lambda: read_provenance(folder), lambda: Snapshot(tmp_path).runs()],

@@ -197,6 +197,7 @@ def test_machines_and_versions_are_told_apart():
     facts = run_facts.makings(runs).set_index("fact")
     assert sum(map(int, facts.loc["runs"])) == len({run.id for run in runs})
     assert set(facts.loc["precision"]) == {"float32", "bfloat16"}
+    assert set(facts.loc["products"]) == {"torch"}
     assert run_facts.makings([]).empty
 
 
