@@ -104,7 +104,9 @@ def arithmetic(cpuinfo: Path = Path("/proc/cpuinfo")) -> Iterator[Check]:
     try:
         here = machine()
     except RuntimeError as error:
-        yield Check("products", "missing", str(error).splitlines()[-1], "reinstall: pip install --force-reinstall torch")
+        yield Check(
+            "products", "missing", str(error).splitlines()[-1], "reinstall: pip install --force-reinstall torch"
+        )
         return
     best, large = here.choice[OTHERWISE], cell("forward", _LARGE)
     quickest = f"{in_words(here.choice)}; {_rate(here.rates[best][large])} at {_sides(_LARGE)} forward"

@@ -27,7 +27,8 @@ from rrmctl.store.schema import SCHEMA_VERSION
 
 #: Packages whose version can change a number or a file.
 PACKAGES = (
-    "rrmctl", "torch", "numpy", "gymnasium", "metaworld", "mujoco", "dm-control", "pyarrow", "pydantic", "safetensors"
+    "rrmctl", "torch", "numpy", "numba", "gymnasium", "metaworld", "mujoco", "dm-control", "pyarrow", "pydantic",
+    "safetensors",
 )  # fmt: skip
 
 #: Facts that cannot change a run's numbers, and are not compared on resumption.
