@@ -20,6 +20,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass, field
 from functools import cache, cached_property
 from importlib.metadata import version
+from importlib.util import find_spec
 from pathlib import Path
 from statistics import geometric_mean
 from typing import Annotated, Literal
@@ -197,9 +198,21 @@ def kept_in(environ: Mapping[str, str] = os.environ) -> Path:
     here = Path(__file__).parent
     sources = [(here / name).read_bytes() for name in ("tuning.py", "nets/program.py", "nets/trial.py", "nets/ways.py")]
     steering = sorted((n, value) for n, value in environ.items() if n.startswith(_STEERING) and n not in _ONE_THREAD)
-    facts = (cpu_model(), sorted(extensions()), version("torch"), version("numpy"), steering, *sources)
+    builds = [(version(name), _largest(name)) for name in ("torch", "numpy")]
+    facts = (cpu_model(), sorted(extensions()), builds, steering, *sources)
     digest = hashlib.sha256(repr(facts).encode()).hexdigest()[:16]
     return _cache(environ) / "rrm" / f"products-{digest}.json"
+
+
+def _largest(package: str) -> int:
+    """Size of the largest library of a package that is not imported: two builds of one version are told apart by it."""
+    spec = find_spec(package)
+    assert spec is not None
+    roots = [Path(root) for root in spec.submodule_search_locations or []]
+    roots += [root.with_name(f"{root.name}.libs") for root in roots]
+    return max(
+        (file.stat().st_size for root in roots for file in (*root.glob("lib/*"), *root.glob("*.so*"))), default=0
+    )
 
 
 def _cache(environ: Mapping[str, str]) -> Path:

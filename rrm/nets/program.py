@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from functools import partial
 from itertools import groupby
-from typing import Any, Literal, TypeVar
+from typing import Any, Literal, NoReturn, TypeVar
 
 import numba
 import numpy as np
@@ -47,6 +47,9 @@ class Coded:
 
     def __call__(self) -> None:
         _run(self.rows)
+
+    def __reduce__(self) -> NoReturn:
+        raise TypeError("a work is bound to its memory, and cannot be copied")
 
 
 def fuse(works: Iterable[Work]) -> list[Work]:
