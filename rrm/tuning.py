@@ -40,11 +40,10 @@ Rate = Annotated[float, Field(gt=0, allow_inf_nan=False)]  #: operations a secon
 FORMS: tuple[Form, ...] = ("forward", "weights", "inputs")
 
 #: What is measured; a product goes the way of the nearest. Layers of a laptop's networks, of the paper's, of a reward's
-#: and of an image agent's; narrow last layers, which are multiplied with their narrow side first; acting.
+#: and of an image agent's; narrow last layers, which are multiplied with their narrow side first.
 SHAPES: tuple[Shape, ...] = (
     (128, 43, 128), (128, 128, 128), (512, 43, 256), (512, 256, 256), (2048, 44, 256), (2048, 256, 256),
-    (512, 1024, 1024), (128, 128, 1), (128, 128, 8), (512, 256, 1), (512, 256, 8),
-    (8, 128, 128), (1, 512, 256), (8, 512, 256), (1, 2048, 256), (1, 128, 128),
+    (512, 1024, 1024), (128, 128, 8), (512, 256, 8), (8, 128, 128), (8, 512, 256),
 )  # fmt: skip
 
 #: The exact ways, in the order in which they are tried; those that rely on what is not documented come last.

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import torch
 from torch import Tensor
 
-from rrm.nets.program import Work
+from rrm.nets.program import Work, times_vectors
 from rrm.nets.ways import WAYS, Way, by_torch, fits
 from rrm.tuning import OTHERWISE, Choice, Form, Shape, cell, machine, nearest
 
@@ -58,6 +58,10 @@ def bind(a: Tensor, b: Tensor, out: Tensor) -> Work:
         return by_torch(a, b, out)
     if out.stride(2) != 1 and out.shape[2] > 1:  # its transpose lies in rows
         return bind(b.transpose(1, 2), a.transpose(1, 2), out.transpose(1, 2))
+    if b.shape[2] == 1:
+        return times_vectors(a, b[..., 0], out[..., 0])
+    if a.shape[1] == 1:
+        return times_vectors(b.transpose(1, 2), a[:, 0], out[:, 0])
     return _way(a, b)(a, b, out)
 
 

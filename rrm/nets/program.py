@@ -28,7 +28,7 @@ _SLOPES: dict[Activation, float] = {"relu": 0.0, "leaky_relu": LEAK}
 _FLAT, _LEAK = np.float32(0), np.float32(LEAK)
 
 #: Operations; what follows each in its row is for the function of its name below.
-CALL, ACTIVATE, UNDO, CONVERT, ADD_TO_ROWS, SUM_ROWS, ADAM = range(7)
+CALL, ACTIVATE, UNDO, CONVERT, ADD_TO_ROWS, SUM_ROWS, DOT, MIX, ADAM = range(9)
 _LENGTH = 11
 
 #: What a matrix of bfloat16 adds to the last number of a row: that is read from, that is written to.
@@ -127,6 +127,19 @@ def sum_rows(rows: Tensor, out: Tensor) -> Work:
     return partial(torch.sum, rows, 2, keepdim=True, out=out)
 
 
+def times_vectors(matrices: Tensor, vectors: Tensor, out: Tensor) -> Work:
+    """`matrices` [N, R, C] times `vectors` [N, C] go to `out` [N, R]; either may lie with any distance of its numbers.
+
+    Libraries are slow at it, and divide it between cores as they like.
+    """
+    across = matrices.stride(2) == 1 or matrices.shape[2] == 1
+    rows = [
+        (DOT if across else MIX, *_at(m if across else m.t()), v.data_ptr(), v.stride(0), o.data_ptr(), o.stride(0))
+        for m, v, o in zip(matrices, vectors, out, strict=True)
+    ]
+    return Coded(rows, (matrices, vectors, out))
+
+
 def _at(matrix: Tensor) -> tuple[int, int, int, int]:
     """Address, rows, columns and distance of rows of a matrix that lies in rows."""
     assert matrix.stride(1) == 1 or matrix.shape[1] == 1
@@ -147,11 +160,15 @@ def _kind(source: Tensor, target: Tensor, activation: Activation = "relu") -> in
 
 
 def _compiled(function: _F) -> _F:
-    """The function for the processor at hand, kept on disk where there is a place for it."""
+    """The function for the processor at hand, kept on disk where there is a place for it.
+
+    Sums may be taken in several parts, which makes them quicker and more exact; the order is always the same.
+    """
+    options: dict[str, Any] = {"error_model": "numpy", "fastmath": {"reassoc", "contract"}}
     try:
-        made: _F = numba.njit(cache=True, error_model="numpy")(function)
+        made: _F = numba.njit(cache=True, **options)(function)
     except RuntimeError:  # neither the package's folder nor the user's cache can be written
-        made = numba.njit(error_model="numpy")(function)
+        made = numba.njit(**options)(function)
     return made
 
 
@@ -384,6 +401,37 @@ def _sum_rows(p: Any) -> None:
 
 
 @_compiled
+def _together(address: Any, count: Any, apart: Any) -> Any:
+    """A vector's numbers side by side."""
+    numbers, vector = _floats(address, count, apart), np.empty(count, np.float32)
+    for i in range(count):
+        vector[i] = numbers[i, 0]
+    return vector
+
+
+@_compiled
+def _dot(p: Any) -> None:
+    x, vector, out = _floats(p[1], p[2], p[4]), _together(p[5], p[3], p[6]), _floats(p[7], p[2], p[8])
+    for r in range(p[2]):
+        total = np.float32(0)
+        for c in range(p[3]):
+            total += x[r, c] * vector[c]
+        out[r, 0] = total
+
+
+@_compiled
+def _mix(p: Any) -> None:
+    x, vector, out = _floats(p[1], p[2], p[4]), _together(p[5], p[2], p[6]), _floats(p[7], p[3], p[8])
+    total = np.zeros(p[3], np.float32)
+    for r in range(p[2]):
+        weight = vector[r]
+        for c in range(p[3]):
+            total[c] += weight * x[r, c]
+    for c in range(p[3]):
+        out[c, 0] = total[c]
+
+
+@_compiled
 def _adam(p: Any) -> None:
     count, factors = p[5], _floats(p[6], 1, 2)
     param, grad, mean, square = (
@@ -415,5 +463,9 @@ def _run(program: Any) -> None:
             _add_to_rows(p)
         elif p[0] == SUM_ROWS:
             _sum_rows(p)
+        elif p[0] == DOT:
+            _dot(p)
+        elif p[0] == MIX:
+            _mix(p)
         elif p[0] == ADAM:
             _adam(p)

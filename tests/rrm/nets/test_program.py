@@ -9,7 +9,18 @@ from hypothesis import given
 from hypothesis import strategies as st
 from torch import Tensor, nn
 
-from rrm.nets.program import LEAK, Activation, Coded, activate, add_to_rows, convert, fuse, sum_rows, undo
+from rrm.nets.program import (
+    LEAK,
+    Activation,
+    Coded,
+    activate,
+    add_to_rows,
+    convert,
+    fuse,
+    sum_rows,
+    times_vectors,
+    undo,
+)
 
 WIDE, NARROW = torch.float32, torch.bfloat16
 #: Of what is read and what is written; in place where they are of one precision.
@@ -122,3 +133,16 @@ def test_a_work_is_bound_to_its_memory() -> None:
     for take in (copy.copy, copy.deepcopy, pickle.dumps):
         with pytest.raises(TypeError, match="bound to its memory"):
             take(work)
+
+
+@given(size=sizes, transposed=st.booleans(), apart=st.integers(1, 3))
+def test_vectors(size: tuple[int, int, int], transposed: bool, apart: int) -> None:
+    """A matrix that lies either way times a vector, wherever its numbers lie; nothing is written beside the result."""
+    stack, rows, columns = size
+    matrices = numbers(stack, columns, rows, padding=3).mT if transposed else numbers(*size, padding=3)
+    vectors = numbers(stack, columns, apart, seed=1)[..., 0]
+    room = torch.full((stack, rows, apart), torch.nan)
+    times_vectors(matrices, vectors, room[..., 0])()
+    expected = torch.einsum("nrc,nc->nr", matrices.double(), vectors.double())
+    torch.testing.assert_close(room[..., 0].double(), expected, rtol=1e-5, atol=1e-4)
+    assert room[..., 1:].isnan().all()
