@@ -21,14 +21,9 @@ from rrm.hardware import extensions
 from rrm.nets.program import CALL, Coded, Work
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Mapping
 
 Way = Callable[[Tensor, Tensor, Tensor], Work]
-
-
-#: Numbers of a transposed factor from which on oneDNN is quicker at matrices of bfloat16 one by one: by a seventh at
-#: 512 x 256, where at 128 x 128 the stack is by half.
-_LARGE = 1 << 16
 
 
 class _Setting:
@@ -51,17 +46,7 @@ def by_torch(a: Tensor, b: Tensor, out: Tensor) -> Work:
     """`torch.bmm`, on any device and in any precision that torch has."""
     if out.dtype == torch.float32:
         return _within(_Setting("highest"), a, b, out)
-    if len(out) > 1 and a.stride(2) != 1 and a[0].numel() >= _LARGE:
-        return _one_by_one([partial(torch.mm, *matrices, out=to) for *matrices, to in zip(a, b, out, strict=True)])
     return partial(torch.bmm, a, b, out=out)
-
-
-def _one_by_one(works: Sequence[Work]) -> Work:
-    def work() -> None:
-        for one in works:
-            one()
-
-    return work
 
 
 def by_onednn(a: Tensor, b: Tensor, out: Tensor) -> Work:
