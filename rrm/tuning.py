@@ -195,7 +195,9 @@ def measure() -> Machine:
 def kept_in(environ: Mapping[str, str] = os.environ) -> Path:
     """The file where the measurements of this processor and these libraries are kept, or would be."""
     here = Path(__file__).parent
-    sources = [(here / name).read_bytes() for name in ("tuning.py", "nets/program.py", "nets/trial.py", "nets/ways.py")]
+    sources = [
+        (here / name).read_bytes() for name in ("tuning.py", "nets/compiled.py", "nets/trial.py", "nets/ways.py")
+    ]
     steering = sorted((n, value) for n, value in environ.items() if n.startswith(_STEERING) and n not in _ONE_THREAD)
     builds = [(version(name), _largest(name)) for name in ("torch", "numpy")]
     facts = (cpu_model(), sorted(extensions()), builds, steering, *sources)

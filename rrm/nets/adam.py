@@ -8,7 +8,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from rrm.nets.program import ADAM, Coded
+from rrm.nets.compiled import ADAM
+from rrm.nets.program import Coded
 from rrm.types import State
 
 _BETAS, _EPSILON = (0.9, 0.999), 1e-8

@@ -16,8 +16,9 @@ from typing import TYPE_CHECKING, Any, Literal
 import torch
 from torch import Tensor, nn
 
+from rrm.nets.compiled import LEAK
 from rrm.nets.products import bind
-from rrm.nets.program import LEAK, Activation, Work, activate, add_to_rows, convert, fuse, sum_rows, undo
+from rrm.nets.program import Activation, Work, activate, add_to_rows, convert, fuse, sum_rows, undo
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence

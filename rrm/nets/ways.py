@@ -18,7 +18,8 @@ import torch
 from torch import Tensor
 
 from rrm.hardware import extensions
-from rrm.nets.program import CALL, Coded, Work
+from rrm.nets.compiled import CALL
+from rrm.nets.program import Coded, Work
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

@@ -32,8 +32,6 @@ if TYPE_CHECKING:
     from rrm.seeding import Streams
     from rrm.types import Evaluation, State, Transition
 
-_ROWS_AT_ONCE = 2048  #: of a forward pass, whose memory is kept
-
 
 class Adversarial(RewardSource):
     """Demonstrations, discriminator, and what they leave behind: a prior, or the norms of g's gradients.
@@ -160,6 +158,5 @@ class Adversarial(RewardSource):
 
 def _range(g: RewardNet, batch: Batch) -> list[float]:
     """Smallest and largest reward of the transitions."""
-    parts = zip(*(torch.split(column, _ROWS_AT_ONCE) for column in (batch.obs, batch.act)), strict=True)
-    low, high = torch.aminmax(torch.cat([g.predict(obs, act) for obs, act in parts]))
+    low, high = torch.aminmax(g.predict(batch.obs, batch.act))
     return [float(low), float(high)]

@@ -2,6 +2,7 @@
 
 import copy
 import pickle
+from collections.abc import Iterator
 
 import pytest
 import torch
@@ -9,8 +10,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from torch import Tensor, nn
 
+from rrm.nets import program
+from rrm.nets.compiled import LEAK
 from rrm.nets.program import (
-    LEAK,
     Activation,
     Coded,
     activate,
@@ -25,6 +27,16 @@ from rrm.nets.program import (
 WIDE, NARROW = torch.float32, torch.bfloat16
 #: Of what is read and what is written; in place where they are of one precision.
 PRECISIONS = [(WIDE, WIDE), (WIDE, NARROW), (NARROW, WIDE), (NARROW, NARROW)]
+
+
+@pytest.fixture(params=[True, False], ids=["compiled", "torch"], autouse=True, scope="module")
+def _on_a_processor_and_elsewhere(request: pytest.FixtureRequest) -> Iterator[None]:
+    """Everything also as it is done on other devices."""
+    with pytest.MonkeyPatch.context() as patch:
+        if not request.param:
+            patch.setattr(program, "_compiles", lambda _tensor: False)
+        yield
+
 
 sizes = st.tuples(st.integers(1, 3), st.integers(1, 70), st.integers(1, 70))
 activations = st.sampled_from(["relu", "leaky_relu"])
@@ -49,9 +61,7 @@ def test_activations(
     source, bias = numbers(*size, dtype=dtypes[0], padding=padding), numbers(size[0], 1, size[2], seed=1)
     target = source if dtypes[0] == dtypes[1] else numbers(*size, dtype=dtypes[1])
     expected = nn.functional.leaky_relu(source.float() + bias, slope(activation)).to(dtypes[1])
-    work = activate(activation, source, bias, target)
-    assert isinstance(work, Coded)
-    work()
+    activate(activation, source, bias, target)()
     assert torch.equal(target, expected)
 
 
@@ -118,18 +128,19 @@ def test_joined_works_are_one_and_in_order() -> None:
     """Others stay between those that they stood between."""
     seen: list[str] = []
     a, b = torch.zeros(1, 1, 4), torch.ones(1, 1, 1)
-    coded = [add_to_rows(a, b), add_to_rows(a, b)]
+    coded = [times_vectors(b, b[..., 0], a[..., 0]), times_vectors(b, b[..., 0], a[..., 1])]
     works = fuse([*coded, lambda: seen.append(str(a[0, 0, 0].item())), *coded])
     assert [type(work) is Coded for work in works] == [True, False, True]
     for work in works:
         work()
-    assert seen == ["2.0"]
-    assert a[0, 0, 0] == 4
+    assert seen == ["1.0"]
+    assert a[0, 0, :2].tolist() == [1, 1]
 
 
 def test_a_work_is_bound_to_its_memory() -> None:
     """A copy of it would write into that of another."""
-    work = add_to_rows(torch.zeros(1, 1, 4), torch.ones(1, 1, 1))
+    ones = torch.ones(1, 1, 1)
+    work = times_vectors(ones, ones[..., 0], ones[..., 0])
     for take in (copy.copy, copy.deepcopy, pickle.dumps):
         with pytest.raises(TypeError, match="bound to its memory"):
             take(work)
