@@ -8,7 +8,8 @@ from collections.abc import Mapping
 #: Libraries and Python would draw, compute, warn or fold lines otherwise; mujoco leaves its choice of renderer behind,
 #: and a child with another choice refuses to start.
 _IGNORED = frozenset({
-    "MPLBACKEND", "PYOPENGL_PLATFORM", "PYTHONOPTIMIZE", "PYTHONWARNINGS", "COLUMNS", "LINES", "TERMINAL_WIDTH"
+    "MPLBACKEND", "NUMBA_DISABLE_JIT", "PYOPENGL_PLATFORM", "PYTHONOPTIMIZE", "PYTHONWARNINGS",
+    "COLUMNS", "LINES", "TERMINAL_WIDTH",
 })  # fmt: skip
 #: Files that lie around are not modules; nothing of ours renders; figures have settings of their own.
 _OURS = {"PYTHONSAFEPATH": "1", "MUJOCO_GL": "disabled", "MATPLOTLIBRC": os.devnull}

@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar, Token
-from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor
@@ -17,9 +16,6 @@ from torch import Tensor
 from rrm.nets.program import Work, times_vectors
 from rrm.nets.ways import WAYS, Way, by_torch, fits
 from rrm.tuning import OTHERWISE, Choice, Form, Shape, cell, machine, nearest
-
-if TYPE_CHECKING:
-    pass
 
 _CHOICE: ContextVar[Choice | None] = ContextVar("choice", default=None)
 
