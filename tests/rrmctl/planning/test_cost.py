@@ -38,7 +38,7 @@ def oracle(**changes: Any) -> RunConfig:
 def test_known_reward_by_hand() -> None:
     """Twenty-five thousand steps of the paper's SAC: start, simulation, updates and evaluation, added up on paper."""
     steps = 25_000 + 3 * 10 * 500  # evaluated at 10k, 20k and the end
-    assert tabled_seconds(oracle(), 1.0) == pytest.approx(3 + steps * 0.00086 + 24_000 * (0.0005 + 0.028))
+    assert tabled_seconds(oracle(), 1.0) == pytest.approx(3 + steps * 0.00042 + 24_000 * (0.00016 + 0.010))
 
 
 def test_a_faster_core_costs_less() -> None:
@@ -62,14 +62,14 @@ def test_what_costs_more() -> None:
 @pytest.mark.parametrize(
     ("task", "learner", "sizes", "hours"),
     [
-        ("button-press", "pebble", {"hidden": 256, "layers": 3, "batch": 512}, 4.7),
-        ("button-press", "surf", {"hidden": 256, "layers": 3, "batch": 512}, 11.7),
-        ("walker-walk", "true", {"hidden": 128, "layers": 3, "batch": 128}, 0.30),
-        ("toy-car", "pebble", {"hidden": 64, "layers": 2, "batch": 64}, 0.17),
+        ("button-press", "pebble", {"hidden": 256, "layers": 3, "batch": 512}, 1.5),
+        ("button-press", "surf", {"hidden": 256, "layers": 3, "batch": 512}, 3.8),
+        ("walker-walk", "true", {"hidden": 128, "layers": 3, "batch": 128}, 0.16),
+        ("toy-car", "pebble", {"hidden": 64, "layers": 2, "batch": 64}, 0.045),
     ],
 )
 def test_order_of_magnitude(task: str, learner: str, sizes: dict[str, Any], hours: float) -> None:
-    """Networks of other sizes are estimated within a factor of two of what a count of their operations gives."""
+    """Networks of other sizes are estimated within a factor of two of what their steps were measured to take (SURF's: in proportion)."""
     reward = {"learner": learner, "hidden": sizes["hidden"], "layers": sizes["layers"]}
     config = RunConfig.model_validate({"task": task, "seed": 0, "steps": 400_000, "agent": sizes, "reward": reward})
     assert hours / 2 < tabled_seconds(config, 1.0) / 3600 < hours * 2
