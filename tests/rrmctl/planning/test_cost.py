@@ -69,7 +69,7 @@ def test_what_costs_more() -> None:
     ],
 )
 def test_order_of_magnitude(task: str, learner: str, sizes: dict[str, Any], hours: float) -> None:
-    """Networks of other sizes are estimated within a factor of two of what their steps take as measured (SURF's: in proportion)."""
+    """Networks of other sizes are estimated within a factor of two of what their steps take (SURF's: in proportion)."""
     reward = {"learner": learner, "hidden": sizes["hidden"], "layers": sizes["layers"]}
     config = RunConfig.model_validate({"task": task, "seed": 0, "steps": 400_000, "agent": sizes, "reward": reward})
     assert hours / 2 < tabled_seconds(config, 1.0) / 3600 < hours * 2
