@@ -138,7 +138,9 @@ def test_saved_in_pieces_it_comes_back_whole(tmp_path_factory, episode_lengths, 
     assert (restored.rows, restored.transitions) == (growing.rows, growing.transitions)
     for column in ("obs", "act", "prior", "raw_prior", "true_reward", "reward", "kind"):
         rows = slice(growing.rows + (column == "obs"))
-        assert torch.equal(getattr(growing, column)[rows], getattr(restored, column)[rows]), column
+        pair = getattr(growing, column)[rows], getattr(restored, column)[rows]
+        # After a finished episode the row that follows has not been written: it may be anything, no number at all too.
+        torch.testing.assert_close(*pair, rtol=0, atol=0, equal_nan=True, msg=column)
     a, b = (sample(x, 100, torch.Generator().manual_seed(1)) for x in (growing, restored))
     assert all(torch.equal(x, y) for x, y in zip(a, b, strict=True))
 
