@@ -32,7 +32,6 @@ if TYPE_CHECKING:
 
 _LARGEST = 1 - 1e-6  #: of an action whose density is asked for; float32's tanh rounds to one, where atanh is infinite
 
-
 LOG_STD_MIN, LOG_STD_MAX = -5.0, 2.0
 _HALF_RANGE, _MIDDLE = 0.5 * (LOG_STD_MAX - LOG_STD_MIN), 0.5 * (LOG_STD_MAX + LOG_STD_MIN)
 _FIGURES = ("critic_loss", "actor_loss", "entropy", "alpha")  #: entropy in nats
@@ -83,9 +82,8 @@ class _Sample:
         """
         act, squash, (grad_mean, grad_raw) = self.act[:, rows], self.squash[:, rows], grad_head
         grad_mean[...] = (1 - act * act) * grad_act + 2 * grad_log_prob * act
-        grad_raw[...] = (grad_mean * self.spread[:, rows] - grad_log_prob) * (
-            _HALF_RANGE - _HALF_RANGE * squash * squash
-        )
+        grad_log_std = grad_mean * self.spread[:, rows] - grad_log_prob
+        grad_raw[...] = _HALF_RANGE * (1 - squash * squash) * grad_log_std
 
 
 class _Workspace:
