@@ -151,16 +151,8 @@ def _activate_into(x: Any, rows: Any, columns: Any, bias: Any, y: Any, slope: An
 
 @_compiled
 def _activate(p: Any, slope: Any) -> None:
-    address, rows, columns, step, bias, target, apart, kind = (
-        p[1],
-        p[2],
-        p[3],
-        p[4],
-        _floats(p[5], 1, p[3]),
-        p[6],
-        p[7],
-        p[8] & 3,
-    )
+    address, rows, columns, step, target, apart, kind = p[1], p[2], p[3], p[4], p[6], p[7], p[8] & 3
+    bias = _floats(p[5], 1, columns)
     if kind == WIDE:
         _activate_here(_floats(address, rows, step), rows, columns, bias, slope)
     elif kind == NARROW:
@@ -172,14 +164,7 @@ def _activate(p: Any, slope: Any) -> None:
 
 
 @_compiled
-def _undo_here(x: Any, rows: Any, columns: Any, activated: Any, slope: Any) -> None:
-    for r in range(rows):
-        for c in range(columns):
-            x[r, c] = _like(_descended(_wide(x[r, c]), _wide(activated[r, c]), slope), x[r, c])
-
-
-@_compiled
-def _undo_here_and_sum(x: Any, rows: Any, columns: Any, activated: Any, slope: Any, sums: Any) -> None:
+def _undo_here(x: Any, rows: Any, columns: Any, activated: Any, slope: Any, sums: Any) -> None:
     sums[:] = 0
     for r in range(rows):
         for c in range(columns):
@@ -189,14 +174,7 @@ def _undo_here_and_sum(x: Any, rows: Any, columns: Any, activated: Any, slope: A
 
 
 @_compiled
-def _undo_into(x: Any, rows: Any, columns: Any, activated: Any, y: Any, slope: Any) -> None:
-    for r in range(rows):
-        for c in range(columns):
-            y[r, c] = _like(_descended(_wide(x[r, c]), _wide(activated[r, c]), slope), y[r, c])
-
-
-@_compiled
-def _undo_into_and_sum(x: Any, rows: Any, columns: Any, activated: Any, y: Any, slope: Any, sums: Any) -> None:
+def _undo_into(x: Any, rows: Any, columns: Any, activated: Any, y: Any, slope: Any, sums: Any) -> None:
     sums[:] = 0
     for r in range(rows):
         for c in range(columns):
@@ -209,30 +187,18 @@ def _undo_into_and_sum(x: Any, rows: Any, columns: Any, activated: Any, y: Any, 
 def _undo(p: Any, slope: Any) -> None:
     address, rows, columns, step, activated, away, target, apart = p[1], p[2], p[3], p[4], p[5], p[6], p[7], p[8]
     sums, kind = _floats(p[9], 1, columns), p[10] & 3
-    if kind == WIDE:
+    if kind in (WIDE, NARROWING):
         x, a = _floats(address, rows, step), _floats(activated, rows, away)
-        if p[9]:
-            _undo_here_and_sum(x, rows, columns, a, slope, sums)
+        if kind == WIDE:
+            _undo_here(x, rows, columns, a, slope, sums)
         else:
-            _undo_here(x, rows, columns, a, slope)
-    elif kind == NARROW:
+            _undo_into(x, rows, columns, a, _halves(target, rows, apart), slope, sums)
+    else:
         u, b = _halves(address, rows, step), _halves(activated, rows, away)
-        if p[9]:
-            _undo_here_and_sum(u, rows, columns, b, slope, sums)
+        if kind == NARROW:
+            _undo_here(u, rows, columns, b, slope, sums)
         else:
-            _undo_here(u, rows, columns, b, slope)
-    elif kind == NARROWING:
-        x, a, v = _floats(address, rows, step), _floats(activated, rows, away), _halves(target, rows, apart)
-        if p[9]:
-            _undo_into_and_sum(x, rows, columns, a, v, slope, sums)
-        else:
-            _undo_into(x, rows, columns, a, v, slope)
-    elif kind == WIDENING:
-        u, b, y = _halves(address, rows, step), _halves(activated, rows, away), _floats(target, rows, apart)
-        if p[9]:
-            _undo_into_and_sum(u, rows, columns, b, y, slope, sums)
-        else:
-            _undo_into(u, rows, columns, b, y, slope)
+            _undo_into(u, rows, columns, b, _floats(target, rows, apart), slope, sums)
 
 
 @_compiled
