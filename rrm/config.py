@@ -79,7 +79,16 @@ class AgentConfig(ConfigSection):
     tau: Fraction = 0.005  #: share of the critic that enters its target
     target_every: Count = 2  #: updates between two target updates
     update_every: Count = 1  #: environment steps per update
+    early_updates: Count = 1  #: updates at each step that has any, before `early_steps`; not in the paper
+    early_steps: NonNegative = 0  #: environment steps with so many updates; not in the paper
+    critic_norm: Literal["none", "layer"] = "none"  #: layer normalisation in the critics; not in the paper
     kind: Literal["sac"] = "sac"  #: its name in `rrm.agents.AGENTS`
+
+    def updates_at(self, step: int) -> int:
+        """Updates of the agent before this environment step."""
+        if step % self.update_every:
+            return 0
+        return self.early_updates if step < self.early_steps else 1
 
 
 class LearnerSettings(ConfigSection):

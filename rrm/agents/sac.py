@@ -148,7 +148,10 @@ class Sac:
 
         def stack(members: int, inputs: int, outputs: int, generator: torch.Generator | None) -> StackedMLP:
             shape = (members, inputs, config.hidden, config.layers, outputs)
-            return StackedMLP(*shape, generator=generator, precision=precision, device=device)
+            normalised = members == 2 and config.critic_norm == "layer"
+            return StackedMLP(
+                *shape, generator=generator, precision=precision, normalised=normalised, device=device
+            )  # fmt: skip
 
         self.actor = stack(1, obs_dim, 2 * act_dim, self._init)
         self.critic = stack(2, obs_dim + act_dim, 1, self._init)

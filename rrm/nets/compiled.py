@@ -15,11 +15,12 @@ from numba import carray, types
 from numba.extending import intrinsic
 
 LEAK = 0.01  #: slope of leaky_relu below zero
+EPSILON = 1e-5  #: added to the variance of what is normalised
 _FLAT, _LEAK = np.float32(0), np.float32(LEAK)
 
 #: Operations; what follows each in its row is for the function of its name below.
-CALL, ACTIVATE, UNDO, CONVERT, ADD_TO_ROWS, SUM_ROWS, DOT, MIX, ADAM = range(9)
-LENGTH = 11  #: of a row
+CALL, ACTIVATE, UNDO, NORMALISE, UNDO_NORM, CONVERT, ADD_TO_ROWS, SUM_ROWS, DOT, MIX, ADAM = range(11)
+LENGTH = 12  #: of a row
 
 #: The last number of some: a matrix of float32 or of bfloat16 changed in place; float32 read and bfloat16 written
 #: elsewhere, or the other way round. With LEAKY for an activation that is.
@@ -202,6 +203,79 @@ def _undo(p: Any, slope: Any) -> None:
 
 
 @_compiled
+def _normalise_into(x: Any, rows: Any, columns: Any, bias: Any, y: Any, normal: Any, factor: Any, slope: Any) -> None:
+    for r in range(rows):
+        total = np.float32(0)
+        for c in range(columns):
+            total += _wide(x[r, c]) + bias[0, c]
+        mean, square = total / np.float32(columns), np.float32(0)
+        for c in range(columns):
+            apart = _wide(x[r, c]) + bias[0, c] - mean
+            normal[r, c] = apart
+            square += apart * apart
+        factor[0, r] = np.float32(1) / np.sqrt(square / np.float32(columns) + np.float32(EPSILON))
+        for c in range(columns):
+            normal[r, c] *= factor[0, r]
+        for c in range(columns):
+            y[r, c] = _like(_lifted(normal[r, c], slope), y[r, c])
+
+
+@_compiled
+def _normalise(p: Any, slope: Any) -> None:
+    address, rows, columns, step, target, apart, kind = p[1], p[2], p[3], p[4], p[6], p[7], p[11] & 3
+    bias, normal, factor = _floats(p[5], 1, columns), _floats(p[8], rows, p[9]), _floats(p[10], 1, rows)
+    if kind == WIDE:
+        here = _floats(address, rows, step)
+        _normalise_into(here, rows, columns, bias, here, normal, factor, slope)
+    elif kind == NARROW:
+        small = _halves(address, rows, step)
+        _normalise_into(small, rows, columns, bias, small, normal, factor, slope)
+    elif kind == NARROWING:
+        x, u = _floats(address, rows, step), _halves(target, rows, apart)
+        _normalise_into(x, rows, columns, bias, u, normal, factor, slope)
+    elif kind == WIDENING:
+        v, y = _halves(address, rows, step), _floats(target, rows, apart)
+        _normalise_into(v, rows, columns, bias, y, normal, factor, slope)
+
+
+@_compiled
+def _undo_norm_into(x: Any, rows: Any, columns: Any, normal: Any, factor: Any, y: Any, slope: Any, sums: Any) -> None:
+    sums[:] = 0
+    row = np.empty(columns, np.float32)
+    for r in range(rows):
+        total, along = np.float32(0), np.float32(0)
+        for c in range(columns):
+            row[c] = _descended(_wide(x[r, c]), normal[r, c], slope)
+            total += row[c]
+            along += row[c] * normal[r, c]
+        total /= np.float32(columns)
+        along /= np.float32(columns)
+        for c in range(columns):
+            row[c] = factor[0, r] * (row[c] - total - along * normal[r, c])
+            sums[0, c] += row[c]
+        for c in range(columns):
+            y[r, c] = _like(row[c], y[r, c])
+
+
+@_compiled
+def _undo_norm(p: Any, slope: Any) -> None:
+    address, rows, columns, step, target, apart, kind = p[1], p[2], p[3], p[4], p[7], p[8], p[11] & 3
+    normal, sums, factor = _floats(p[5], rows, p[6]), _floats(p[9], 1, columns), _floats(p[10], 1, rows)
+    if kind in (WIDE, NARROWING):
+        x = _floats(address, rows, step)
+        if kind == WIDE:
+            _undo_norm_into(x, rows, columns, normal, factor, x, slope, sums)
+        else:
+            _undo_norm_into(x, rows, columns, normal, factor, _halves(target, rows, apart), slope, sums)
+    else:
+        u = _halves(address, rows, step)
+        if kind == NARROW:
+            _undo_norm_into(u, rows, columns, normal, factor, u, slope, sums)
+        else:
+            _undo_norm_into(u, rows, columns, normal, factor, _floats(target, rows, apart), slope, sums)
+
+
+@_compiled
 def _copy(x: Any, rows: Any, columns: Any, y: Any) -> None:
     for r in range(rows):
         for c in range(columns):
@@ -293,6 +367,10 @@ def run(program: Any) -> None:
             _activate(p, _LEAK if p[8] & LEAKY else _FLAT)
         elif p[0] == UNDO:
             _undo(p, _LEAK if p[10] & LEAKY else _FLAT)
+        elif p[0] == NORMALISE:
+            _normalise(p, _LEAK if p[11] & LEAKY else _FLAT)
+        elif p[0] == UNDO_NORM:
+            _undo_norm(p, _LEAK if p[11] & LEAKY else _FLAT)
         elif p[0] == CONVERT:
             _convert(p)
         elif p[0] == ADD_TO_ROWS:

@@ -16,9 +16,20 @@ from typing import TYPE_CHECKING, Any, Literal
 import torch
 from torch import Tensor, nn
 
-from rrm.nets.compiled import LEAK
+from rrm.nets.compiled import EPSILON, LEAK
 from rrm.nets.products import bind
-from rrm.nets.program import Activation, Work, activate, add_to_rows, convert, fuse, sum_rows, undo
+from rrm.nets.program import (
+    Activation,
+    Work,
+    activate,
+    add_to_rows,
+    convert,
+    fuse,
+    normalise,
+    sum_rows,
+    undo,
+    undo_norm,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -56,6 +67,12 @@ class Memory:
             for layer, width in enumerate(net.widths[1:-1])
         ]
         self.outputs = torch.zeros(net.members, net.widths[-1], rows, device=net.flat.device)  #: [N, out, B]
+        #: Of each hidden layer that is normalised, before the activation, [N, B, hidden], and what scaled it, [N, B].
+        self.normal = [
+            (room(width, torch.float32), torch.empty(net.members, rows, device=net.flat.device))
+            for width in net.widths[1:-1]
+            if net.normalised
+        ]
         self._spare = {
             dtype: [room(widest, dtype) for _ in range(2)] for dtype in {torch.float32, net.inner}
         }  # used in turns
@@ -68,6 +85,7 @@ class Memory:
         """That of these rows alone."""
         part = copy.copy(self)
         part.hidden, part.outputs = [layer[:, rows] for layer in self.hidden], self.outputs[..., rows]
+        part.normal = [(normal[:, rows], factor[:, rows]) for normal, factor in self.normal]
         part._spare = {dtype: [room[:, rows] for room in rooms] for dtype, rooms in self._spare.items()}
         return part
 
@@ -126,7 +144,11 @@ class Pass:
             if weight.dtype != bias.dtype:
                 works.append(convert(net.weights[2 * layer], weight))
             product = out if out.dtype == weight.dtype else self._memory.spare(weight.dtype, layer)
-            works += bind(h, weight, product), activate(net.activation, product, bias, out)
+            works.append(bind(h, weight, product))
+            if net.normalised:
+                works.append(normalise(net.activation, product, bias, out, *self._memory.normal[layer]))
+            else:
+                works.append(activate(net.activation, product, bias, out))
             h = out
         works.append(bind(_t(net.weights[-2]), _t(h), self.outputs))
         works.append(add_to_rows(self.outputs, _t(net.weights[-1])))
@@ -163,8 +185,11 @@ class Pass:
             product = memory.spare(above.dtype, layer)
             delta = memory.spare(net.factors[layer].dtype, layer)
             total = totals[layer] if totals is not None else None
-            works = [bind(grad, _t(above), product), undo(net.activation, product, memory.hidden[layer], delta, total)]
-            yield layer, works, delta
+            if net.normalised:
+                down = undo_norm(net.activation, product, *memory.normal[layer], delta, total)
+            else:
+                down = undo(net.activation, product, memory.hidden[layer], delta, total)
+            yield layer, [bind(grad, _t(above), product), down], delta
             grad = delta
 
 
@@ -178,6 +203,8 @@ class StackedMLP:
         activation: of the hidden layers; leaky_relu has slope 0.01.
         init: `orthogonal` with gain 1 and zero biases (B-Pref's agent), or `torch`, `nn.Linear`'s own (its reward).
         precision: of the products between hidden layers, see `rrm.nets.precision`.
+        normalised: every hidden layer is normalised before its activation (Ba et al. 2016), without gain and shift
+            of its own: the next layer has both.
         device: where the parameters live; the generator must be of the same device.
     """
 
@@ -193,9 +220,11 @@ class StackedMLP:
         activation: Activation = "relu",
         init: Init = "orthogonal",
         precision: Precision = "float32",
+        normalised: bool = False,
         device: torch.device | str = "cpu",
     ) -> None:
         self.members = members
+        self.normalised = normalised
         self.widths = (inputs, *[hidden] * layers, outputs)
         self.activation = activation
         self.init = init
@@ -286,6 +315,8 @@ class StackedMLP:
         h = x.expand(self.members, -1, -1)
         for weight, bias in zip(params[:-2:2], params[1:-2:2], strict=True):
             h = torch.baddbmm(bias, h, weight)
+            if self.normalised:
+                h = nn.functional.layer_norm(h, h.shape[-1:], eps=EPSILON)
             h = torch.relu_(h) if self.activation == "relu" else nn.functional.leaky_relu_(h, LEAK)
         return torch.baddbmm(_t(params[-1]), _t(params[-2]), _t(h))
 

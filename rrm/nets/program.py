@@ -21,14 +21,17 @@ from rrm.nets.compiled import (
     ADD_TO_ROWS,
     CONVERT,
     DOT,
+    EPSILON,
     LEAK,
     LEAKY,
     LENGTH,
     MIX,
     NARROW,
     NARROWING,
+    NORMALISE,
     SUM_ROWS,
     UNDO,
+    UNDO_NORM,
     WIDE,
     WIDENING,
     run,
@@ -108,6 +111,58 @@ def undo(
     def work() -> None:
         gradient = source.float()
         gradient = torch.where(activated <= 0, gradient * _SLOPES[activation], gradient)
+        target.copy_(gradient)
+        if total is not None:
+            torch.sum(gradient, 1, keepdim=True, out=total)
+
+    return work
+
+
+def normalise(
+    activation: Activation, source: Tensor, bias: Tensor, target: Tensor, normal: Tensor, factor: Tensor
+) -> Work:
+    """As `activate`, each row of the sum first shifted and scaled to mean 0 and variance 1 (layer normalisation).
+
+    What is normal goes to `normal`, float32 [N, B, H], what scaled it to `factor`, float32 [N, B].
+    """
+    if _compiles(source):
+        kind = _kind(source, target, activation)
+        rows = [
+            (NORMALISE, *_at(x), b.data_ptr(), *_at(y)[::3], *_at(n)[::3], f.data_ptr(), kind)
+            for x, b, y, n, f in zip(source, bias, target, normal, factor, strict=True)
+        ]
+        return Coded(rows, (source, bias, target, normal, factor))
+
+    def work() -> None:
+        total = source.float() + bias
+        var, mean = torch.var_mean(total, -1, correction=0, keepdim=True)
+        scale = torch.rsqrt(var + EPSILON)
+        factor.copy_(scale[..., 0])
+        torch.mul(total - mean, scale, out=normal)
+        target.copy_(nn.functional.leaky_relu(normal, _SLOPES[activation]))
+
+    return work
+
+
+def undo_norm(
+    activation: Activation, source: Tensor, normal: Tensor, factor: Tensor, target: Tensor, total: Tensor | None = None
+) -> Work:
+    """As `undo`, of what `normalise` did."""
+    if _compiles(source):
+        if total is None:
+            total = torch.empty(len(source), 1, source.shape[2])
+        kind = _kind(source, target, activation)
+        rows = [
+            (UNDO_NORM, *_at(x), *_at(n)[::3], *_at(y)[::3], to.data_ptr(), f.data_ptr(), kind)
+            for x, n, f, y, to in zip(source, normal, factor, target, total, strict=True)
+        ]
+        return Coded(rows, (source, normal, factor, target, total))
+
+    def work() -> None:
+        gradient = source.float()
+        gradient = torch.where(normal <= 0, gradient * _SLOPES[activation], gradient)
+        along = (gradient * normal).mean(-1, keepdim=True)
+        gradient = factor[..., None] * (gradient - gradient.mean(-1, keepdim=True) - along * normal)
         target.copy_(gradient)
         if total is not None:
             torch.sum(gradient, 1, keepdim=True, out=total)

@@ -68,7 +68,7 @@ class Trainer:
         phase.source.attend(self.step, self.agent)
         if self.step == phase.begin and phase.reset_critic:
             self.agent.reset_critic()
-        due = int(not phase.random and self.step % self.config.agent.update_every == 0)
+        due = 0 if phase.random else self.config.agent.updates_at(self.step)
         for _ in range(phase.first_updates if self.step == phase.begin else due):
             self.agent.update(phase.source.batch(self.agent))
         next_obs, true_reward, terminated, truncated, info = self.env.step(act)
