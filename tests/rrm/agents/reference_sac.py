@@ -22,8 +22,11 @@ def unstack(net: StackedMLP) -> nn.ModuleList:
             linear = nn.Linear(weight.shape[1], weight.shape[2])
             linear.weight.data = weight[member].detach().t().clone()
             linear.bias.data = bias[member, 0].detach().clone()
-            modules += [linear, nn.ReLU() if net.activation == "relu" else nn.LeakyReLU(0.01)]
-        members.append(nn.Sequential(*modules[:-1]))
+            modules.append(linear)
+            if net.normalised:
+                modules.append(nn.LayerNorm(weight.shape[2], elementwise_affine=False))
+            modules.append(nn.ReLU() if net.activation == "relu" else nn.LeakyReLU(0.01))
+        members.append(nn.Sequential(*modules[: -2 if net.normalised else -1]))
     return members
 
 

@@ -65,7 +65,19 @@ def stacked_grads(net: StackedMLP) -> Tensor:
 @example(obs=34, act=5, hidden=65, layers=3, rows=4, target_every=1, seed=49315)
 def test_equals_textbook(obs: int, act: int, hidden: int, layers: int, rows: int, target_every: int, seed: int) -> None:
     """Losses, gradients, parameters and target follow plain autograd over several updates, whatever the sizes."""
-    config = AgentConfig(hidden=hidden, layers=layers, batch=rows, target_every=target_every, tau=0.1)
+    follow_textbook(
+        AgentConfig(hidden=hidden, layers=layers, batch=rows, target_every=target_every, tau=0.1), obs, act, seed
+    )
+
+
+@pytest.mark.parametrize("hidden", [8, 24, 130])
+def test_normalised_critics_equal_textbook(hidden: int) -> None:
+    """So do critics with layer normalisation."""
+    follow_textbook(AgentConfig(hidden=hidden, batch=32, tau=0.1, critic_norm="layer"), 39, 4, seed=hidden)
+
+
+def follow_textbook(config: AgentConfig, obs: int, act: int, seed: int) -> None:
+    rows = config.batch
     streams = Streams(seed)
     sac = Sac(config, Spaces(obs, act), streams)
     plain = ReferenceSac(config, sac.actor, sac.critic)

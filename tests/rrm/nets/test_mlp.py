@@ -26,6 +26,7 @@ shapes = st.fixed_dictionaries(
         "outputs": st.integers(1, 9),
         "activation": st.sampled_from(["relu", "leaky_relu"]),
         "init": st.sampled_from(["orthogonal", "torch"]),
+        "normalised": st.booleans(),
     }
 )
 
