@@ -482,6 +482,30 @@ def test_every_experiment_plans(path: Path, scale: str) -> None:
         assert (config(plan, job).sessions() > 0) == config(plan, job).reward.kind.learned
 
 
+BPREF = {  # hidden, layers, batch, step size, steps, and K, M, cap
+    "button-press": ((256, 3, 512, 3e-4), 1_000_000, (5000, 50, 10_000), 10),
+    "sweep-into": ((256, 3, 512, 3e-4), 1_000_000, (5000, 50, 10_000), 10),
+    "walker-walk": ((1024, 2, 1024, 5e-4), 500_000, (20_000, 50, 500), 50),
+    "quadruped-walk": ((1024, 2, 1024, 1e-4), 1_000_000, (30_000, 100, 1000), 50),
+}
+
+
+@pytest.mark.parametrize("task", BPREF)
+def test_bpref_is_what_its_scripts_say(task: str) -> None:
+    """Networks, step sizes, schedules and lengths of B-Pref's scripts of PEBBLE; SAC alike, after 5000 random steps."""
+    agent, steps, feedback, epochs = BPREF[task]
+    plan = make_plan(manifest.load(EXPERIMENTS / "main-results.toml"), profile="bpref", tasks=[task], seeds="1")
+    oracle, pebble = (config(plan, only(plan, name)) for name in ("oracle", "pebble"))
+    for run in (oracle, pebble):
+        assert (run.agent.hidden, run.agent.layers, run.agent.batch, run.agent.actor_lr) == agent
+        assert (run.agent.critic_lr, run.agent.alpha_lr, run.steps) == (agent[-1], 1e-4, steps)
+    assert pebble.feedback is not None
+    assert (pebble.feedback.every, pebble.feedback.batch, pebble.feedback.budget) == feedback
+    assert (pebble.reward.epochs, pebble.feedback.sampler) == (epochs, "disagreement")
+    assert (pebble.exploration.seed_steps, pebble.exploration.unsupervised_steps) == (1000, 9000)
+    assert oracle.random_steps == 5000
+
+
 def test_smoke_passes_through_everything() -> None:
     """At smoke scale there are several sessions, an unsupervised phase for PEBBLE, and evaluations before the end."""
     plan = make_plan(manifest.load(EXPERIMENTS / "main-results.toml"), profile="smoke", seeds="1")
