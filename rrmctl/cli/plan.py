@@ -27,7 +27,7 @@ def list_(experiments: options.ExperimentsOption = None, as_json: options.JsonOp
     """List the experiments: what each compares, and which figure or table of the paper it makes.
 
     An experiment is one TOML file: those of rrmctl, and any in the folder `experiments`. Below stand the names that
-    methods are made of.
+    methods are made of, and the profiles.
     """
     from rich.table import Table
 
@@ -35,6 +35,7 @@ def list_(experiments: options.ExperimentsOption = None, as_json: options.JsonOp
     from rrmctl.planning.manifest import load
     from rrmctl.planning.methods import vocabulary
     from rrmctl.planning.plan import make_plan
+    from rrmctl.planning.profiles import profiles
 
     good: list[dict[str, Any]] = []
     bad, paths = [], available(experiments)
@@ -58,6 +59,7 @@ def list_(experiments: options.ExperimentsOption = None, as_json: options.JsonOp
         console = stdout_console(soft_wrap=True)
         console.print(table)
         console.print(vocabulary())
+        console.print(f"profiles: {', '.join(profiles())}")
         for name in replaced(paths):
             console.print(f"note: {name} is {paths[name]}, in place of the one that comes with rrmctl")
     if bad:

@@ -50,6 +50,14 @@ IqmOption = Annotated[
         "runs at the quartiles (four count fully, two by half).",
     ),
 ]
+FinalOption = Annotated[
+    str,
+    typer.Option(
+        "--final",
+        metavar="last|mean-K",
+        help="Score at a step: that of the evaluation there, or of each run the mean of its last K up to there.",
+    ),
+]
 MixedOption = Annotated[
     bool,
     typer.Option(
@@ -78,6 +86,7 @@ def _table(entry: Entry) -> Callable[..., None]:
         ] = Format.TERMINAL,
         output: Annotated[Path | None, into("FILE", "Write to a file instead of the terminal.")] = None,
         kind: IqmOption = IqmKindOption.RLIABLE,
+        final: FinalOption = "last",
         profile: ProfileOption = None,
         replicates: ReplicatesOption = 10_000,
         allow_mixed: MixedOption = False,
@@ -88,10 +97,10 @@ def _table(entry: Entry) -> Callable[..., None]:
     ) -> None:
         from rrmctl.reports.render import WIDE, print_terminal, to_text
         from rrmctl.reports.select import of_profile, read_sections
-        from rrmctl.reports.statistics import Statistics
+        from rrmctl.reports.statistics import Statistics, evaluations
 
         module = entry.load()
-        settings = Statistics(kind=kind.value, replicates=replicates, plus_minus=plus_minus)
+        settings = Statistics(kind=kind.value, last=evaluations(final), replicates=replicates, plus_minus=plus_minus)
         sections = read_sections(results, name or module.EXPERIMENT, allow_mixed=allow_mixed)
         reports = module.make(of_profile(sections, profile), settings)
         if output is not None:
@@ -122,6 +131,7 @@ def html(
     output: Annotated[Path, into("FILE", "The page; its folder is made where it is missing.")] = Path("report.html"),
     results: ResultsOption = DEFAULT_RESULTS,
     kind: IqmOption = IqmKindOption.RLIABLE,
+    final: FinalOption = "last",
     profile: ProfileOption = None,
     replicates: ReplicatesOption = 10_000,
     allow_mixed: MixedOption = False,
@@ -132,9 +142,9 @@ def html(
     it prints. Runs under way and failed ones are on it, as such.
     """
     from rrmctl.reports.page.assembly import build
-    from rrmctl.reports.statistics import Statistics
+    from rrmctl.reports.statistics import Statistics, evaluations
 
-    settings = Statistics(kind=kind.value, replicates=replicates)
+    settings = Statistics(kind=kind.value, last=evaluations(final), replicates=replicates)
     page = build(results, names or (), profile=profile, settings=settings, allow_mixed=allow_mixed).encode()
     _write(output, page)
     tell(f"{output}: {len(page) / 1e6:.1f} MB")
@@ -176,6 +186,7 @@ def plot(
         typer.Option("--width", help="column: 3.3 inches, one column of a paper; page: as it needs, at most 7 inches."),
     ] = Across.PAGE,
     kind: IqmOption = IqmKindOption.RLIABLE,
+    final: FinalOption = "last",
     profile: ProfileOption = None,
     replicates: ReplicatesOption = 10_000,
     allow_mixed: MixedOption = False,
@@ -184,11 +195,11 @@ def plot(
     from rrmctl.planning.profiles import PAPER
     from rrmctl.reports.figure_layout import encode
     from rrmctl.reports.select import of_profile, read_sections
-    from rrmctl.reports.statistics import Statistics
+    from rrmctl.reports.statistics import Statistics, evaluations
 
     entries = figures()
     modules = {figure: choose(entries, figure, "figure").load() for figure in wanted or entries}
-    settings = Statistics(kind=kind.value, replicates=replicates, width=width.value)
+    settings = Statistics(kind=kind.value, last=evaluations(final), replicates=replicates, width=width.value)
     sections = of_profile(read_sections(results, name, allow_mixed=allow_mixed), profile)
     for section in (section for section in sections if not section.contained):
         tell(f"note: {section.experiment}, profile {section.profile}: no run to draw yet", err=True)
@@ -206,8 +217,13 @@ def plot(
                     raise
                 tell(f"note: {where}: the figure {figure} was not drawn: {error}", err=True)
                 continue
-            # The paper's own scale, the curves and a page's width need no mention.
-            said = ((section.variant, PAPER), (figure, "curves"), (width.value, Across.PAGE))
+            # The paper's own scale, the curves, single evaluations and a page's width need no mention.
+            said = (
+                (section.variant, PAPER),
+                (figure, "curves"),
+                (f"mean-{settings.last}", "mean-1"),
+                (width.value, Across.PAGE),
+            )
             names = [part for part, unsaid in said if part != unsaid]
             for form in forms or Drawing:
                 path = (output or results / "figures") / f"{'-'.join((section.experiment, *names))}.{form}"

@@ -19,7 +19,8 @@ from rrmctl.stats import Floats, Steps
 PATH = Path(__file__).with_suffix(".toml")
 
 _ARM = re.compile(
-    r"([\w-]+)(?: \((?:(?P<teacher>[\w-]+)|(?P<full>full feedback)|(?P<field>batch|every) x ([\d.]+))\))?"
+    r"([\w-]+)(?: \((?!\))(?P<teacher>[\w-]+(?=[,)]))?"
+    r"(?:(?(teacher), )(?:(?P<full>full feedback)|(?P<field>batch|every|budget) x ([\d.]+)))?\))?"
 )
 
 _STRICT = ConfigDict(extra="forbid")
@@ -31,11 +32,12 @@ Relation = Literal["at least", "below", "above"]
 class Arm(NamedTuple):
     """Which series of a task is meant."""
 
-    words: str  #: `pebble`, `pebble (stochastic)`, `pebble (batch x 0.1)`
+    words: str  #: `pebble`, `pebble (stochastic)`, `pebble (batch x 0.1)`, `mrn (mistaken-10, batch x 0.2)`
     method: str
     teacher: str | None  #: None: the task's only one
-    #: Questions of a session and steps between two, by their proportion to the fullest schedule; None: the only one.
-    budget: tuple[float, float] | None
+    #: Questions of a session, steps between two and questions in all (None: however many), by their proportion to the
+    #: fullest schedule; None: the only one.
+    budget: tuple[float, float, float | None] | None
 
     @classmethod
     def of(cls, words: str) -> Arm:
@@ -44,8 +46,10 @@ class Arm(NamedTuple):
         if match is None:
             raise ValueError(f"{PATH.name}: {words!r} is no method with its teacher or its feedback")
         share = float(match[5] or 1)
-        budget = (1.0, share) if match["field"] == "every" else (share, 1.0)
-        return cls(words, match[1], match["teacher"], budget if match["field"] or match["full"] else None)
+        budget = {
+            None: None, "batch": (share, 1.0, None), "every": (1.0, share, None), "budget": (1.0, 1.0, share),
+        }[match["field"] or (match["full"] and "budget")]  # fmt: skip
+        return cls(words, match[1], match["teacher"], budget)
 
 
 @dataclass(frozen=True, kw_only=True, config=_STRICT)
@@ -58,6 +62,12 @@ class Reading:
     measure: Literal["label_accuracy", "residual beyond prior"] | None = None  #: None: the score the paper reports
     unit: ScoreKind | None = None  #: how numbers are written; None: as the task's score
     spread: bool = False  #: the standard deviation of the seeds, not their interquartile mean
+    tasks: Literal["pooled", "averaged"] = "pooled"  #: of several: one number of all seeds, or the mean of each task's
+
+    @property
+    def pooled(self) -> bool:
+        """Whether the seeds of several tasks are of one number; curves are averaged."""
+        return self.tasks == "pooled" and self.steps != "all"
 
     def of(self, series: Series) -> tuple[Steps, Floats]:
         """All steps [T] at which it can be read, and the values there, [S, T]."""

@@ -148,8 +148,9 @@ def from_frames(draw: Callable[[Section, Statistics], Figure]) -> Callable[..., 
         kind: IqmKind = "rliable",
         width: Width = "page",
         replicates: int = REPLICATES,
+        last: int = 1,
     ) -> Figure:
-        return draw(one_section(rows, jobs), Statistics(kind=kind, width=width, replicates=replicates))
+        return draw(one_section(rows, jobs), Statistics(kind=kind, width=width, replicates=replicates, last=last))
 
     drawn.__doc__ = f"""{draw.__doc__}
     Args:
@@ -158,6 +159,7 @@ def from_frames(draw: Callable[[Section, Statistics], Figure]) -> Callable[..., 
         kind: of interquartile mean.
         width: of the figure: `column` (3.3 inches) or `page` (at most 7).
         replicates: resampled data sets behind intervals, where it has any.
+        last: evaluations up to a step, of which a run's score there is the mean.
     """
     return drawn
 

@@ -56,12 +56,13 @@ COLUMNS = (
 
 @dataclass(frozen=True, eq=False)
 class Curve:
-    """A series' statistics at each of its steps."""
+    """A series' statistics at each of its steps, of the score that is read there."""
 
     iqm: Estimate  #: arrays [T]
     q25: Floats  #: [T]
     q75: Floats  #: [T]
-    #: Under the IQM curve, as mean heights over the steps of each panel it stands in, by teacher and feedback.
+    #: Under the IQM curve of single evaluations, as mean heights over the steps of each panel it stands in, by teacher
+    #: and feedback.
     areas: Mapping[tuple[str, str], Estimate]
 
 
@@ -71,19 +72,27 @@ def curves(section: Section, settings: Statistics = DEFAULTS) -> Mapping[Series,
     panels = [panel for panel in section.panels() if panel.comparable()]
     by_series = {}
     for series in (series for series in section.series if series.n):
-        point, draws, areas = iqm(series.values, settings.kind, axis=0), None, {}
-        if interval_possible([series.n]):
-            rng = np.random.default_rng(BOOTSTRAP_SEED)
-            draws = resample([series.values], Iqm(settings.kind), rng=rng, replicates=settings.replicates)
+        ends, areas = at_steps(series, series.steps, settings.last), {}
+        point, draws = _drawn(series.values, settings)
+        final, final_draws = (point, draws) if settings.last == 1 else _drawn(ends, settings)
         for panel in (panel for panel in panels if series in panel.series):
             steps = panel.steps()
             where = np.searchsorted(series.steps, steps)
             drawn = None if draws is None else area_under_curve(steps, draws[:, where])
             area = area_under_curve(steps, point[where])
             areas[panel.teacher, panel.feedback] = estimate(area, drawn, n=series.n, level=LEVEL)
-        whole = estimate(point, draws, n=series.n, level=LEVEL)
-        by_series[series] = Curve(whole, *quartiles(series.values, axis=0), areas)
+        whole = estimate(final, final_draws, n=series.n, level=LEVEL)
+        by_series[series] = Curve(whole, *quartiles(ends, axis=0), areas)
     return by_series
+
+
+def _drawn(values: Floats, settings: Statistics) -> tuple[Floats, Floats | None]:
+    """The IQM over seeds of values [S, T], and its replicates [R, T] where there are seeds enough for an interval."""
+    point, draws = np.asarray(iqm(values, settings.kind, axis=0)), None
+    if interval_possible([len(values)]):
+        rng = np.random.default_rng(BOOTSTRAP_SEED)
+        draws = resample([values], Iqm(settings.kind), rng=rng, replicates=settings.replicates)
+    return point, draws
 
 
 def curve_table(section: Section, settings: Statistics = DEFAULTS) -> pd.DataFrame:
@@ -168,7 +177,9 @@ def _group_rows(group: Sequence[Panel], settings: Statistics) -> Iterator[dict[s
     teacher, feedback = (names.pop() if len(names) == 1 else otherwise for names, otherwise in named)
     for method in (name for name in by_task[0] if all(name in methods for methods in by_task)):
         series = [methods[method] for methods in by_task]
-        scores = [at_steps(one, [panel.read_at().step]) for one, panel in zip(series, group, strict=True)]
+        scores = [
+            at_steps(one, [panel.read_at().step], settings.last) for one, panel in zip(series, group, strict=True)
+        ]
         q25, q75 = quartiles(np.concatenate(scores))
         yield {
             "task": ALL_TASKS, "teacher": teacher, "feedback": feedback, "method": method, "score": "success",

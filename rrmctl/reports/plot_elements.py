@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,7 +13,8 @@ from rrm.envs.tasks import ScoreKind
 from rrmctl.labels import ORACLE
 from rrmctl.reports.figure_layout import Axes, Slot
 from rrmctl.reports.iqm_curves import ALL_TASKS, across_tasks
-from rrmctl.reports.series import Panel, Section, Series
+from rrmctl.reports.series import Panel, Section, Series, at_steps
+from rrmctl.reports.statistics import Statistics
 from rrmctl.reports.styles import Looks, Style
 from rrmctl.stats import CommonStep, Floats, IqmKind, Steps, iqm, quartiles
 
@@ -36,23 +37,25 @@ def curve(axes: Axes, steps: Steps, values: Floats, look: Style, kind: IqmKind, 
         axes.fill_between(steps, *quartiles(values, axis=0), color=look.color, alpha=0.14, linewidth=0)
 
 
-def curves_slot(name: str, shown: Sequence[Series], looks: Looks, kind: IqmKind) -> Slot:
-    """A panel of learning curves of one score."""
+def curves_slot(name: str, shown: Sequence[Series], looks: Looks, settings: Statistics) -> Slot:
+    """A panel of learning curves of one score, at each step what is read there."""
 
     def fill(axes: Axes) -> None:
         for position, series in enumerate(shown):
             method = series.label.method
             on_top = 3 if method == ORACLE else 2  # dots on a line can be seen, a line on dots hides them
-            curve(axes, series.steps, scaled(series), looks[method], kind, position=position, zorder=on_top)
+            scores = scaled(series, settings.last)
+            curve(axes, series.steps, scores, looks[method], settings.kind, position=position, zorder=on_top)
         score_axis(axes, shown[0].score)
         step_axis(axes, max(int(series.steps[-1]) for series in shown))
 
     return Slot(name, UNITS[shown[0].score], fill, runs=[(series.label.method, series.n) for series in shown])
 
 
-def scaled(series: Series) -> Floats:
+def scaled(series: Series, last: int = 1) -> Floats:
     """The series' scores as axes show them, [S, T]: success in percent, returns as they are."""
-    return 100 * series.values if series.score == "success" else series.values
+    scores = at_steps(series, series.steps, last)
+    return 100 * scores if series.score == "success" else scores
 
 
 def step_axis(axes: Axes, last: int) -> None:
@@ -109,7 +112,12 @@ class FinalScores:
         return np.concatenate(self.strata[method])
 
 
-def readings(section: Section, rule: Callable[[Panel], CommonStep]) -> list[FinalScores]:
+def read_at(cells: Iterable[FinalScores]) -> Iterator[tuple[str, int]]:
+    """The task and step of those that are of a single panel."""
+    return ((cell.panels[0].task, cell.read.step) for cell in cells if cell.read is not None)
+
+
+def readings(section: Section, rule: Callable[[Panel], CommonStep], last: int = 1) -> list[FinalScores]:
     """One for each panel whose methods have a step in common, then those of pooled success tasks.
 
     A method is pooled where it has runs on all of the tasks.
@@ -119,7 +127,7 @@ def readings(section: Section, rule: Callable[[Panel], CommonStep]) -> list[Fina
     for panel in panels:
         read = rule(panel)
         strata = {
-            series.label.method: [scaled(series)[:, int(np.searchsorted(series.steps, read.step))]]
+            series.label.method: [scaled(series, last)[:, int(np.searchsorted(series.steps, read.step))]]
             for series in panel.present()
         }
         single[panel] = FinalScores(panel_name(panel, panels), panel.score, strata, (panel,), read)

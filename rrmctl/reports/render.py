@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from rrmctl.reports.report import Report
 
 #: Of the JSON document and the CSV columns; raised by one when one is added, removed, or changes its meaning.
-TEXT_VERSION = 2
+TEXT_VERSION = 3
 
 #: Columns of a terminal: the usual number, enough for space between the columns, and what is taken where nobody looks.
 _USUAL, _ROOMY, WIDE = 80, 100, 160

@@ -55,7 +55,8 @@ def section_report(
         more: facts beside those of every table.
     """
     table, whole = tabled(columns, rows)
-    words = (*contents_notes(section), *notes, *statistics_notes(section, settings))
+    read = [(row.get("task", ""), row.get("step", row.get("last_step", math.nan))) for row in whole]
+    words = (*contents_notes(section), *notes, *statistics_notes(section, settings, read))
     text = TextGrid.of(columns, whole) if grid is None else grid(whole)
     return Report(title(section), table, text, words, facts(section, settings) | more)
 
@@ -96,6 +97,7 @@ def facts(section: Section, settings: Statistics) -> dict[str, Any]:
         "problems": list(section.problems),
         "mixed": list(section.mixed),
         "remarks": list(section.remarks),
+        **({"score_at_step": settings.final} if settings.last > 1 else {}),
     }
 
 
@@ -186,14 +188,36 @@ EXPLAINED = (
     f"Interval: {SURE} percentile bootstrap over seeds with tasks as strata, {REPLICATES:,} replicates, generator seed "
     f"{BOOTSTRAP_SEED}; none below {MIN_RUNS} seeds. With few seeds it covers less than its name says: about "
     f"{_covered(COVERAGE)}.",
+    "Score at a step: of one evaluation. With --final mean-K it is, of each run, the mean of the last K up to it, or "
+    "of those that there are. Areas, means over steps, and the choice of the step stay of single evaluations.",
     "25-75 %: the spread of the seeds, not an interval.",
     "Bold: the highest of the methods but the oracle; where intervals overlap, that may be chance.",
     f"Evaluation: {_USUAL_EVALUATION}.",
 )
 
 
-def statistics_notes(section: Section, settings: Statistics) -> Iterator[str]:
-    """In what the numbers were made otherwise than `EXPLAINED` says, and what intervals are worth with so few seeds."""
+def final_notes(section: Section, settings: Statistics, read: Iterable[tuple[str, float]] = ()) -> Iterator[str]:
+    """What a score at a step is, where it is not of one evaluation; and at which of those that are read, by task and
+    step, there are fewer.
+    """
+    if settings.last == 1:
+        return
+    yield f"Score at a step: {settings.final} up to it, or of those that there are."
+    fewest: dict[str, None] = {}
+    for task, step in dict.fromkeys(read):
+        counts = [int((one.steps <= step).sum()) for one in section.series if one.n and one.label.task == task]
+        if not math.isnan(step) and counts and min(counts) < settings.last:
+            fewest[f"{task}, {min(counts)} at step {step:,}"] = None
+    if fewest:
+        yield f"There are fewer: {'; '.join(fewest)}."
+
+
+def statistics_notes(section: Section, settings: Statistics, read: Iterable[tuple[str, float]] = ()) -> Iterator[str]:
+    """In what the numbers were made otherwise than `EXPLAINED` says, and what intervals are worth with so few seeds.
+
+    `read` as `final_notes` takes it.
+    """
+    yield from final_notes(section, settings, read)
     if settings.kind != "rliable":
         yield f"IQM: {_KIND_IN_WORDS[settings.kind]}."
     if settings.replicates != REPLICATES:

@@ -14,7 +14,7 @@ from functools import reduce
 import numpy as np
 
 from rrmctl.errors import UserError
-from rrmctl.reports.series import Series, at_steps
+from rrmctl.reports.series import Series
 from rrmctl.reports.statistics import BOOTSTRAP_SEED, LEVEL, Statistics
 from rrmctl.stats import Estimate, Floats, Iqm, Steps, estimate, interval_possible, resample
 from rrmctl.stats.bootstrap import Statistic
@@ -65,10 +65,10 @@ def score(
     return Score(float(np.mean(points)), draws, min(sizes))
 
 
-def read_together(series: Sequence[Series]) -> tuple[Steps, dict[Series, Floats]]:
-    """The steps that all of these series of one task have, and the score of each there, [S, T]; refused without any."""
+def common_steps(series: Sequence[Series]) -> Steps:
+    """The steps that all of these series of one task have; refused without any."""
     steps = reduce(np.intersect1d, (one.steps for one in series))
     if not steps.size:
         task = series[0].label.task
         raise UserError(f"{task}: no evaluation step is common to all schedules and methods", "let the runs go on")
-    return steps, {one: at_steps(one, steps) for one in series}
+    return steps

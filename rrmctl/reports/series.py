@@ -159,6 +159,16 @@ def finite(steps: Steps, values: Floats) -> tuple[Steps, Floats]:
     return steps[known], values[:, known]
 
 
-def at_steps(series: Series, steps: Steps | Sequence[int]) -> Floats:
-    """The series' values at these of its steps, [S, len(steps)]."""
-    return series.values[:, np.searchsorted(series.steps, steps)]
+def at_steps(series: Series, steps: Steps | Sequence[int], last: int = 1) -> Floats:
+    """The series' values at these of its steps, [S, len(steps)]; see `ending`."""
+    return ending(series.values, np.searchsorted(series.steps, steps), last)
+
+
+def ending(values: Floats, at: Steps | Sequence[int], last: int) -> Floats:
+    """What is read of curves [S, T] at each of these evaluations, [S, len(at)].
+
+    It is the mean of the `last` ones up to it, of fewer where the curve has no more.
+    """
+    if last == 1:
+        return values[:, at]
+    return np.stack([values[:, max(0, end + 1 - last) : end + 1].mean(axis=1) for end in at], axis=1)

@@ -20,7 +20,7 @@ from rrmctl.errors import UserError
 from rrmctl.labels import Schedule
 from rrmctl.reports.claims import Arm, Claim, Reading, Test
 from rrmctl.reports.scores import score
-from rrmctl.reports.series import Section, Series
+from rrmctl.reports.series import Section, Series, ending
 from rrmctl.reports.statistics import LEVEL, Statistics
 from rrmctl.stats import MIN_RUNS, Estimate, Floats
 
@@ -77,8 +77,8 @@ def _finding(test: Test, tasks: Sequence[str], section: Section, rivals: int, se
     arms, read = [arm for arm in (test.arm, test.than) if isinstance(arm, Arm)], []
     for task in tasks:
         series = [_series(section, task, arm) for arm in arms]
-        read.append(list(_values(section, series, test.reading)))
-    statistic, pooled = _deviation if test.reading.spread else None, test.reading.steps != "all"
+        read.append(list(_values(section, series, test.reading, settings.last)))
+    statistic, pooled = _deviation if test.reading.spread else None, test.reading.pooled
     scores = [
         score(values, settings, pooled=pooled, stream=stream, statistic=statistic)
         for stream, values in enumerate(zip(*read, strict=True), start=1)
@@ -115,16 +115,18 @@ def _deviation(scores: Floats) -> Floats:
 def _series(section: Section, task: str, arm: Arm) -> Series:
     """The one finished series that an arm means; the error says why there is none."""
     of_task = [(series, Schedule.of(series.label.feedback)) for series in section.series if series.label.task == task]
-    batch = max((schedule.batch for _, schedule in of_task if schedule), default=1)
-    every = min((schedule.every for _, schedule in of_task if schedule), default=1)
+    numbers = [*zip(*(schedule[:3] for _, schedule in of_task if schedule), strict=True)] or [(1,)] * 3
+    fullest = [pick(those) for pick, those in zip((max, min, max), numbers, strict=True)]
 
     def is_meant(series: Series, schedule: Schedule | None) -> bool:
         if series.label.method != arm.method or arm.teacher not in (None, series.label.teacher):
             return False
         if arm.budget is None or schedule is None:
             return arm.budget is None
-        shares = (schedule.batch / batch, schedule.every / every)
-        return all(math.isclose(share, wanted, rel_tol=0.1) for share, wanted in zip(shares, arm.budget, strict=True))
+        shares = zip(schedule[:3], fullest, arm.budget, strict=True)
+        return all(
+            wanted is None or math.isclose(number / most, wanted, rel_tol=0.1) for number, most, wanted in shares
+        )
 
     meant = [series for series, schedule in of_task if is_meant(series, schedule)]
     if not any(series.n for series in meant):
@@ -136,8 +138,11 @@ def _series(section: Section, task: str, arm: Arm) -> Series:
     return meant[0]
 
 
-def _values(section: Section, series: Sequence[Series], reading: Reading) -> Iterator[Floats]:
-    """What is read of each series [S, T], at the same steps of all; the error says why there is nothing."""
+def _values(section: Section, series: Sequence[Series], reading: Reading, last: int) -> Iterator[Floats]:
+    """What is read of each series [S, T], at the same steps of all; the error says why there is nothing.
+
+    A score at one step is the mean of the `last` evaluations up to it.
+    """
     measured = [reading.of(one) for one in series]
     steps = reduce(np.intersect1d, (own for own, _ in measured))
     if reading.steps == "common":
@@ -149,7 +154,8 @@ def _values(section: Section, series: Sequence[Series], reading: Reading) -> Ite
     if not steps.size:
         raise UserError(f"{series[0].label}: no evaluation at {reading.words}")
     for (own, values), one in zip(measured, series, strict=True):
-        at = values[:, np.searchsorted(own, steps)]
+        single = reading.steps == "all" or reading.measure is not None
+        at = ending(values, np.searchsorted(own, steps), 1 if single else last)
         if not np.isfinite(at).all():
             raise UserError(f"{one.label}: {reading.words} is not measured")
         yield at

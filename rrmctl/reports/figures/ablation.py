@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from rrmctl.reports.figure_layout import Figure, from_frames, sheet
 from rrmctl.reports.plot_elements import curves_slot, iqm_notes, panel_name
+from rrmctl.reports.report import final_notes
 from rrmctl.reports.series import Panel, Section, Series
 from rrmctl.reports.statistics import DEFAULTS, Statistics
 from rrmctl.reports.styles import ALONE, parts
@@ -21,11 +22,12 @@ def draw(section: Section, settings: Statistics = DEFAULTS) -> Figure:
     """A panel for each task and prior: the residual model, the prior alone, and what stands on no prior."""
     panels, looks = section.panels(), section.looks()
     slots = [
-        curves_slot(f"{panel_name(panel, panels)}: {prior}", series, looks, settings.kind)
+        curves_slot(f"{panel_name(panel, panels)}: {prior}", series, looks, settings)
         for panel in panels
         for prior, series in pairs(panel).items()
     ]
     notes = ["Filled: with the residual; hollow and dashed: the prior alone.", *iqm_notes(section, settings.kind)]
+    notes += final_notes(section, settings)
     lacking = "no prior with runs both with and without the residual"
     return sheet(section, settings, slots, notes=notes, lacking=lacking)
 

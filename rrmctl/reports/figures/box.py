@@ -6,6 +6,7 @@ panel above each box shows those shares. Where no method gets there, and for ret
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from functools import partial
 from typing import Any
@@ -14,7 +15,8 @@ import numpy as np
 
 from rrmctl.labels import knows
 from rrmctl.reports.figure_layout import Axes, Figure, Slot, from_frames, sheet
-from rrmctl.reports.plot_elements import UNITS, FinalScores, line, readings, score_axis, step_axis
+from rrmctl.reports.plot_elements import UNITS, FinalScores, line, read_at, readings, score_axis, step_axis
+from rrmctl.reports.report import final_notes
 from rrmctl.reports.series import Panel, Section, at_steps
 from rrmctl.reports.statistics import DEFAULTS, Statistics
 from rrmctl.reports.styles import Looks
@@ -27,10 +29,10 @@ _GREY = "#555555"
 
 
 def suits(section: Section) -> bool:
-    """Some method has seeds enough for a spread, and no task has several schedules: those are less-feedback's."""
+    """Some method has seeds enough for a spread, and no task has more than two schedules: those are less-feedback's."""
     panels = section.panels()
-    schedules = {(panel.task, panel.teacher) for panel in panels}
-    return len(schedules) == len(panels) and any(
+    schedules = Counter((panel.task, panel.teacher) for panel in panels)
+    return max(schedules.values(), default=0) <= 2 and any(
         series.n >= MIN_RUNS and not knows(series.label.method)
         for panel in panels
         if panel.comparable()
@@ -40,13 +42,13 @@ def suits(section: Section) -> bool:
 
 def draw(section: Section, settings: Statistics = DEFAULTS) -> Figure:
     """For each task the seeds, quartiles, mean and IQM of each method at the common step, and what chose it."""
-    cells, looks = readings(section, Panel.read_at), section.looks()
+    cells, looks = readings(section, Panel.read_at, settings.last), section.looks()
     names = list(dict.fromkeys(method for cell in cells for method in cell.strata if not knows(method)))
     return sheet(
         section,
         settings,
         [_slot(cell, names, looks, settings.kind) for cell in cells],
-        notes=_notes(cells, settings.kind),
+        notes=[*_notes(cells, settings.kind), *final_notes(section, settings, read_at(cells))],
         lacking="no runs that can be compared at one step",
         height=_FRAME + _ROW * len(names),
     )

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from rrmctl.reports.figure_layout import Figure, from_frames, sheet
 from rrmctl.reports.plot_elements import curves_slot, iqm_notes, panel_name
+from rrmctl.reports.report import final_notes
 from rrmctl.reports.series import Section
 from rrmctl.reports.statistics import DEFAULTS, Statistics
 
@@ -19,8 +20,9 @@ def suits(section: Section) -> bool:
 def draw(section: Section, settings: Statistics = DEFAULTS) -> Figure:
     """One panel for each task (and teacher and schedule), a line for each method."""
     panels, looks = section.panels(), section.looks()
-    slots = [curves_slot(panel_name(panel, panels), panel.present(), looks, settings.kind) for panel in panels]
-    return sheet(section, settings, slots, notes=iqm_notes(section, settings.kind), lacking="no run")
+    slots = [curves_slot(panel_name(panel, panels), panel.present(), looks, settings) for panel in panels]
+    notes = [*iqm_notes(section, settings.kind), *final_notes(section, settings)]
+    return sheet(section, settings, slots, notes=notes, lacking="no run")
 
 
 learning_curves = from_frames(draw)

@@ -39,7 +39,7 @@ def draw(section: Section, settings: Statistics = DEFAULTS) -> Figure:
 
 def _slot(name: str, shown: Sequence[Series], looks: Looks, kind: IqmKind) -> Slot:
     smoothed = [replace(series, values=smooth(series.values, WINDOW)) for series in shown]
-    slot = curves_slot(name, smoothed, looks, kind)
+    slot = curves_slot(name, smoothed, looks, Statistics(kind=kind))
 
     def fill(axes: Axes) -> None:
         for series in shown:

@@ -19,11 +19,12 @@ from rrmctl.labels import NOTHING_ASKED, Schedule
 from rrmctl.reports.figure_layout import Axes, Figure, Slot, from_frames, sheet
 from rrmctl.reports.iqm_curves import ALL_TASKS
 from rrmctl.reports.plot_elements import UNITS, score_axis, short_steps
-from rrmctl.reports.scores import read_together, score
-from rrmctl.reports.series import Section, Series
+from rrmctl.reports.report import final_notes
+from rrmctl.reports.scores import common_steps, score
+from rrmctl.reports.series import Section, Series, at_steps
 from rrmctl.reports.statistics import DEFAULTS, SURE, Statistics
 from rrmctl.reports.styles import Looks
-from rrmctl.stats import Floats, iqm
+from rrmctl.stats import Floats, Steps, iqm
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,7 +36,8 @@ class Sweep:
     score: str
     field: str  #: of `Schedule`, in which they differ
     schedules: tuple[Schedule, ...]  #: from most feedback to least
-    values: Mapping[tuple[str, Schedule], Floats]  #: by method, at the steps that all of the task have, [S, T]
+    steps: Steps  #: those that all of the task have
+    series: Mapping[tuple[str, Schedule], Series]  #: by method
 
 
 def suits(section: Section) -> bool:
@@ -60,6 +62,7 @@ def draw(section: Section, settings: Statistics = DEFAULTS) -> Figure:
             f"Points: mean over the evaluation steps of the interquartile mean over seeds ({settings.kind}), with its "
             f"{SURE} bootstrap interval. Small and hollow: the interquartile mean at the last step.",
             *([f"{ALL_TASKS}: mean over the tasks, each resampled on its own."] if means else []),
+            *final_notes(section, settings, [(sweep.task, int(sweep.steps[-1])) for sweep in sweeps]),
             *(f"Not drawn: {why}." for why in apart),
         ],
         lacking="no schedules of feedback that could be compared",
@@ -76,19 +79,19 @@ def _sweeps(section: Section) -> tuple[list[Sweep], list[str]]:
             tasks[series.label.task].append(series)
     for task, asking in tasks.items():
         try:
-            _, values = read_together(asking)
+            steps = common_steps(asking)
         except UserError as error:
             apart.append(str(error))
             continue
-        taught = defaultdict[str, dict[tuple[str, Schedule], Floats]](dict)
-        for series, scores in values.items():
+        taught = defaultdict[str, dict[tuple[str, Schedule], Series]](dict)
+        for series in asking:
             schedule = Schedule.of(series.label.feedback)
             if schedule and not schedule.name:
-                taught[series.label.teacher][series.label.method, schedule] = scores
+                taught[series.label.teacher][series.label.method, schedule] = series
         for teacher, points in taught.items():
             for field, chosen in _compared({schedule for _, schedule in points}):
-                own = {key: scores for key, scores in points.items() if key[1] in chosen}
-                sweeps.append(Sweep(task, teacher, asking[0].score, field, chosen, own))
+                own = {key: series for key, series in points.items() if key[1] in chosen}
+                sweeps.append(Sweep(task, teacher, asking[0].score, field, chosen, steps, own))
     return sweeps, apart
 
 
@@ -105,18 +108,21 @@ def _compared(schedules: set[Schedule]) -> Iterator[tuple[str, tuple[Schedule, .
 def _slot(group: Sequence[Sweep], several: bool, looks: Looks, settings: Statistics) -> Slot:
     """A panel: one task, or the mean of several; `several` teachers are named."""
     first, schedules, scale = group[0], group[0].schedules, 100 if group[0].score == "success" else 1
-    methods = list(dict.fromkeys(method for method, _ in first.values))
+    methods = list(dict.fromkeys(method for method, _ in first.series))
+
+    def read(steps: slice, method: str, schedule: Schedule, last: int = 1) -> list[Floats]:
+        return [at_steps(sweep.series[method, schedule], sweep.steps[steps], last) for sweep in group]
 
     def fill(axes: Axes) -> None:
         for row, method in enumerate(methods):
-            held = [schedule for schedule in schedules if all((method, schedule) in sweep.values for sweep in group)]
+            held = [schedule for schedule in schedules if all((method, schedule) in sweep.series for sweep in group)]
             x = np.array(list(map(schedules.index, held))) + 0.12 * (row - (len(methods) - 1) / 2)
-            tasks = [[sweep.values[method, schedule] for sweep in group] for schedule in held]
-            means = [score(values, settings).estimate() for values in tasks]
+            means = [score(read(slice(None), method, schedule), settings).estimate() for schedule in held]
             y, low, high = (
                 [scale * float(getattr(mean, end)) for mean in means] for end in ("estimate", "low", "high")
             )
-            last = [scale * np.mean([iqm(task[:, -1], settings.kind) for task in values]) for values in tasks]
+            finals = [read(slice(-1, None), method, schedule, settings.last) for schedule in held]
+            last = [scale * np.mean([iqm(task[:, 0], settings.kind) for task in tasks]) for tasks in finals]
             look: dict[str, Any] = looks[method]._asdict()
             axes.plot(x, y, **look | {"markersize": 4})
             axes.vlines(x, low, high, color=looks[method].color, linewidth=0.9)
@@ -132,7 +138,7 @@ def _slot(group: Sequence[Sweep], several: bool, looks: Looks, settings: Statist
         across = f"Queries a session,\nevery {short_steps(schedules[0].every)} steps"
     else:
         across = f"Steps between\nsessions of {schedules[0].batch}"
-    runs = [(method, len(values)) for sweep in group for (method, _), values in sweep.values.items()]
+    runs = [(method, series.n) for sweep in group for (method, _), series in sweep.series.items()]
     return Slot(name, UNITS[first.score], fill, across, runs)
 
 

@@ -9,7 +9,8 @@ from __future__ import annotations
 import numpy as np
 
 from rrmctl.reports.figure_layout import Axes, Figure, Slot, from_frames, sheet
-from rrmctl.reports.plot_elements import UNITS, FinalScores, line, readings, score_axis
+from rrmctl.reports.plot_elements import UNITS, FinalScores, line, read_at, readings, score_axis
+from rrmctl.reports.report import final_notes
 from rrmctl.reports.series import Section
 from rrmctl.reports.statistics import BOOTSTRAP_SEED, DEFAULTS, LEVEL, SURE, Statistics
 from rrmctl.reports.styles import Looks
@@ -21,22 +22,23 @@ _POINTS = 201
 
 def suits(section: Section) -> bool:
     """At least two methods can be compared that have runs enough for a band."""
-    return bool(_readings(section))
+    return bool(_readings(section, DEFAULTS))
 
 
 def draw(section: Section, settings: Statistics = DEFAULTS) -> Figure:
     """A panel for the success tasks together, and one for each task that is scored by return."""
-    looks = section.looks()
-    slots = [_slot(cell, looks, settings) for cell in _readings(section)]
+    cells, looks = _readings(section, settings), section.looks()
+    slots = [_slot(cell, looks, settings) for cell in cells]
     line_note = "Line: share of the runs whose score at the last step is higher."
     band_note = f"Band: {SURE} at each score by itself, bootstrap over seeds, stratified by task."
     lacking = f"no two methods with {MIN_RUNS} runs each"
-    return sheet(section, settings, slots, notes=[line_note, band_note], lacking=lacking)
+    notes = [line_note, band_note, *final_notes(section, settings, read_at(cells))]
+    return sheet(section, settings, slots, notes=notes, lacking=lacking)
 
 
-def _readings(section: Section) -> list[FinalScores]:
+def _readings(section: Section, settings: Statistics) -> list[FinalScores]:
     """Readings with two methods that have runs enough; tasks stand for themselves where pooling would lose a method."""
-    cells = readings(section, lambda panel: common_step(panel.steps(), {}))  # the last step
+    cells = readings(section, lambda panel: common_step(panel.steps(), {}), settings.last)  # the last step
     pools = [
         cell
         for cell in cells

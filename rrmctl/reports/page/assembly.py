@@ -98,6 +98,7 @@ def _command(
     words = ["rrmctl", "report", "html", *experiments, "--results", str(results)]
     words += [] if profile is None else ["--profile", profile]
     words += [] if settings.kind == DEFAULTS.kind else ["--iqm", settings.kind]
+    words += [] if settings.last == DEFAULTS.last else ["--final", f"mean-{settings.last}"]
     words += [] if settings.replicates == DEFAULTS.replicates else ["--replicates", str(settings.replicates)]
     return shlex.join([*words, *(["--allow-mixed"] if allow_mixed else [])])
 

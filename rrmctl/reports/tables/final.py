@@ -38,7 +38,7 @@ def final_rows(panel: Panel, settings: Statistics) -> Iterator[dict[str, Any]]:
     for series in panel.series:
         row = panel.row(series) | {"step": step}
         if series.n:
-            values = at_steps(series, [step])
+            values = at_steps(series, [step], settings.last)
             row |= score([values], settings).estimate().row("iqm")
             row |= dict(zip(("q25", "q75"), map(float, quartiles(values)), strict=True))
         yield row

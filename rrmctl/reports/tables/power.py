@@ -10,6 +10,7 @@ rules are those of `rrmctl run NAME --until-decided` where that was begun.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -70,6 +71,7 @@ def make(sections: Sequence[Section], settings: Statistics) -> list[Report]:
         design, compared = contests.design, len(contests.all)
         notes = [
             *refused,
+            *(["Compared is the mean score over training, whatever --final says."] if settings.last > 1 else []),
             f"Decisions: after every {design.group} seeds, at most {design.looks} times, over {compared} "
             f"comparisons with one error rate of {100 * design.alpha:g} %.",
         ]
@@ -84,7 +86,7 @@ def make(sections: Sequence[Section], settings: Statistics) -> list[Report]:
         }  # fmt: skip
         rows = [_row(contest, contests, settings) for contest in contests.all if contest.ours.size]
         facts: dict[str, Any] = {"test": rules, "problems": [*section.problems, *refused]}
-        reports.append(section_report(section, settings, COLUMNS, rows, notes=notes, **facts))
+        reports.append(section_report(section, replace(settings, last=1), COLUMNS, rows, notes=notes, **facts))
     return reports
 
 

@@ -32,7 +32,7 @@ from rrmctl.reports.columns import (
 from rrmctl.reports.published import Checkpoint
 from rrmctl.reports.report import Report, section_report, some
 from rrmctl.reports.scores import score
-from rrmctl.reports.series import SCORE_COLUMN, Section, Series, finite
+from rrmctl.reports.series import SCORE_COLUMN, Section, Series, ending, finite
 from rrmctl.reports.statistics import SURE, Statistics
 from rrmctl.store.frame import MAYBE_WHOLE, NUMBER, TEXT, WHOLE
 
@@ -90,7 +90,7 @@ def _ours(
     reached = np.flatnonzero(steps <= due)
     if not reached.size or steps[-1] < due:
         return {}
-    here = score([values[:, [reached[-1]]]], settings).estimate().row("iqm")
+    here = score([ending(values, reached[-1:], settings.last)], settings).estimate().row("iqm")
     return {"step": int(steps[reached[-1]]), "n": series.n, **here}
 
 

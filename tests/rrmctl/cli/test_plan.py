@@ -13,9 +13,11 @@ from typer.testing import CliRunner, Result
 
 from rrmctl import doctor
 from rrmctl.cli import plan
+from rrmctl.cli.app import app as rrmctl
 from rrmctl.cli.request import Request, duration, smaller
 from rrmctl.errors import UserError
 from rrmctl.planning.cost import estimate_seconds
+from rrmctl.planning.profiles import profiles
 
 EXPERIMENTS = Path(__file__).parents[3] / "experiments"
 
@@ -32,7 +34,7 @@ def call(*arguments: str, results: Path = Path("/nonexistent")) -> Result:
 
 
 def test_list() -> None:
-    """Every manifest is a line with its figure and its number of jobs."""
+    """Every manifest is a line with its figure and its number of jobs; names of methods and profiles stand below."""
     result = call("list")
     lines = {line.split()[0]: line for line in result.stdout.splitlines()}
     assert {path.stem for path in EXPERIMENTS.glob("*.toml")} < set(lines)
@@ -40,6 +42,10 @@ def test_list() -> None:
     assert "300" in lines["main-results"]
     assert "language" in lines["priors:"]
     assert "pebble" in lines["learners:"]
+    assert lines["profiles:"] == f"profiles: {', '.join(profiles())}"
+    for command in ("plan", "run"):  # their help names them too
+        told = " ".join(re.sub(r"[│\n]+", " ", CliRunner().invoke(rrmctl, [command, "--help"]).stdout).split())
+        assert all(re.search(rf"Scale:[^.]*\b{name}\b", told) for name in profiles())
 
 
 def test_list_for_programs() -> None:

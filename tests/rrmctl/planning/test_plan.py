@@ -482,6 +482,62 @@ def test_every_experiment_plans(path: Path, scale: str) -> None:
         assert (config(plan, job).sessions() > 0) == config(plan, job).reward.kind.learned
 
 
+@pytest.mark.parametrize("scale", sorted(profiles()))
+def test_fine_tuning_is_compared_at_equal_budgets(scale: str) -> None:
+    """Under one of two schedules the residual model and fine-tuning put equally many queries, at any scale."""
+    plan = make_plan(manifest.load(EXPERIMENTS / "finetune.toml"), profile=scale, seeds="1")
+    put: dict[str, dict[str, int]] = {}
+    for job in plan.jobs:
+        put.setdefault(job.feedback, {})[job.method] = plan.configs[job.id].queries()
+    usual, equal = put.values()
+    assert equal == dict.fromkeys(("rrm-imitation", "finetune"), equal["finetune"])
+    assert 0 < equal["finetune"] <= usual["finetune"] < usual["rrm-imitation"]
+
+
+def test_fine_tuning_asks_all_it_can() -> None:
+    """The paper's: a thousand labels after the switch at 400,000 of 500,000 steps, and as many for its rival."""
+    plan = make_plan(manifest.load(EXPERIMENTS / "finetune.toml"), seeds="1")
+    queries = {(job.method, job.feedback): plan.configs[job.id].queries() for job in plan.jobs}
+    few = "50@5000/1000"
+    assert queries["finetune", "50@5000/5000"] == queries["finetune", few] == queries["rrm-imitation", few] == 1000
+
+
+def test_mistaken_teachers_are_asked_twice() -> None:
+    """With the usual budget and with that of MRN's own experiment; the stochastic one with the usual alone."""
+    plan = make_plan(manifest.load(EXPERIMENTS / "noisy-teacher.toml"), seeds="1")
+    mrn = make_plan(manifest.load(EXPERIMENTS / "mrn.toml"), seeds="1", tasks=["button-press"], methods=["mrn"])
+    schedules: dict[str, set[str]] = {}
+    for job in plan.jobs:
+        schedules.setdefault(job.teacher, set()).add(job.feedback)
+    both = {"50@5000/5000", mrn.jobs[0].feedback}
+    assert schedules == {"-": {"-"}, "stochastic": {"50@5000/5000"}, "mistaken-10": both, "mistaken-15": both}
+    assert {plan.configs[job.id].queries() for job in plan.jobs if job.feedback == "10@5000/100"} == {100}
+
+
+BPREF = {  # hidden, layers, batch, step size, steps, and K, M, cap
+    "button-press": ((256, 3, 512, 3e-4), 1_000_000, (5000, 50, 10_000), 10),
+    "sweep-into": ((256, 3, 512, 3e-4), 1_000_000, (5000, 50, 10_000), 10),
+    "walker-walk": ((1024, 2, 1024, 5e-4), 500_000, (20_000, 50, 500), 50),
+    "quadruped-walk": ((1024, 2, 1024, 1e-4), 1_000_000, (30_000, 100, 1000), 50),
+}
+
+
+@pytest.mark.parametrize("task", BPREF)
+def test_bpref_is_what_its_scripts_say(task: str) -> None:
+    """Networks, step sizes, schedules and lengths of B-Pref's scripts of PEBBLE; SAC alike, after 5000 random steps."""
+    agent, steps, feedback, epochs = BPREF[task]
+    plan = make_plan(manifest.load(EXPERIMENTS / "main-results.toml"), profile="bpref", tasks=[task], seeds="1")
+    oracle, pebble = (config(plan, only(plan, name)) for name in ("oracle", "pebble"))
+    for run in (oracle, pebble):
+        assert (run.agent.hidden, run.agent.layers, run.agent.batch, run.agent.actor_lr) == agent
+        assert (run.agent.critic_lr, run.agent.alpha_lr, run.steps) == (agent[-1], 1e-4, steps)
+    assert pebble.feedback is not None
+    assert (pebble.feedback.every, pebble.feedback.batch, pebble.feedback.budget) == feedback
+    assert (pebble.reward.epochs, pebble.feedback.sampler) == (epochs, "disagreement")
+    assert (pebble.exploration.seed_steps, pebble.exploration.unsupervised_steps) == (1000, 9000)
+    assert oracle.random_steps == 5000
+
+
 def test_smoke_passes_through_everything() -> None:
     """At smoke scale there are several sessions, an unsupervised phase for PEBBLE, and evaluations before the end."""
     plan = make_plan(manifest.load(EXPERIMENTS / "main-results.toml"), profile="smoke", seeds="1")

@@ -40,6 +40,13 @@ def less_feedback(tasks=("button-press",)):
     return together(*sweeps)
 
 
+def two_budgets():
+    """The same methods with the usual budget, and with a fifth of it."""
+    curves = {name: RISING[name] for name in ("pebble", "rrm-proxy")}
+    schedules = ("50@5000/5000", "50@5000/1000")
+    return together(*(Sweep(curves=curves, experiment="finetune", feedback=label) for label in schedules))
+
+
 def opposite():
     """The residual model on the opposite prior, with what it measured."""
     curves = {"pebble": RISING["pebble"], "rrm-opposite": RISING["rrm-proxy"]}

@@ -38,6 +38,20 @@ def test_a_box_holds_the_quartiles_and_every_seed():
     assert [label.get_text() for label in axes.get_yticklabels()] == ["rrm-proxy", "pebble"]
 
 
+def test_a_seed_can_be_the_mean_of_its_last_evaluations():
+    """Up to the step that single evaluations choose, which the rule above shows as ever; and the note says so."""
+    figure = box_plot(*Sweep().frames(), last=2)
+    (axes,), (rule,) = parts(figure)
+    _, seeds = (line for line in axes.get_lines() if line.get_color() == style("pebble").color)
+    np.testing.assert_allclose(
+        sorted(seeds.get_xdata()), sorted(50 * np.array([a + b for _, a, b, _ in RISING["pebble"]]))
+    )
+    shares = {line.get_color(): list(line.get_ydata()) for line in rule.get_lines() if len(line.get_xdata()) == 4}
+    assert shares[style("rrm-proxy").color] == [0, 0, 80, 80]
+    assert "Score at a step: mean of the last 2 evaluations up to it" in words(figure)
+    assert "There are fewer: button-press, 3 at step 300." in words(box_plot(*Sweep().frames(), last=4))
+
+
 def test_equal_seeds_lie_beside_one_another():
     """Four of five seeds at 100 % are four points that can be counted."""
     (axes,), _ = parts(box_plot(*Sweep().frames()))

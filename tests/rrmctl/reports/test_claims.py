@@ -166,6 +166,37 @@ def test_pooled_tasks_are_one_number():
     assert judge(pooled, {"e": half}, QUICK).verdict == "not enough data"
 
 
+def test_a_success_rate_with_less_feedback_is_the_last_one():
+    """PEBBLE "drops below 60 %" and priors "achieve at least 85 %" at the last step, as a mean over the tasks' IQMs:
+    getting there late does no harm, and no hard task is pooled away.
+    """
+    names = ("pebble-needs-feedback", "rrm-needs-less")
+    pebble, rrm = ({test.reading for test in each.tests} for each in CLAIMS if each.name in names)
+    assert {reading.words for reading in pebble | rrm} == {"last step, mean over tasks"}
+    series = {}
+    for at, task in enumerate(("button-press", "door-open", "door-unlock", "sweep-into")):
+        end = 0.5 if at == 0 else 1.0  # mean 87.5 %; the middle half of all seeds would be 100 %
+        for name in ("rrm-proxy", "rrm-language"):
+            for asked in (FULL, "25@5000/2500", "10@5000/1000", LITTLE, "50@10000/2500", "50@20000/1250"):
+                series[task, name, "oracle", asked] = curve(0.0, 0.0, 0.0, end, seeds=5)
+    (rrm_claim,) = (each for each in CLAIMS if each.name == "rrm-needs-less")
+    judged = judge(rrm_claim, {"less-feedback": section("less-feedback", series, steps=[1, 2, 3, 4])}, QUICK)
+    assert {float(each.estimate.estimate) for each in judged.findings} == {0.875}
+    assert judged.verdict == "held"
+
+
+def test_a_claim_about_one_step_can_be_judged_on_several_evaluations():
+    """A score at a step is then the mean of the last ones; means over steps, and accuracies, are as ever."""
+    values = np.array([[0.0, 0.2, 1.0, 0.6]] * 5)
+    told = {"success": values, "label_accuracy": values}
+    found = section("e", {("button-press", "pebble", "oracle", FULL): told}, steps=[100, 200, 300, 400])
+    accuracy = Reading(words="accuracy", measure="label_accuracy", unit="success")
+    for reading, wanted in ((FINAL, 0.8), (BOX, 0.6), (MEAN, 0.45), (accuracy, 0.6)):
+        tests = claim(*at_least(0.1, "pebble", reading=reading))
+        (finding,) = judge(tests, {"e": found}, Statistics(replicates=300, last=2)).findings
+        assert float(finding.estimate.estimate) == pytest.approx(wanted), reading.words
+
+
 def test_measured_columns_are_claimed_too():
     """Accuracy of the labels after a tenth of the training, and whether prior or residual weighs more."""
     ramp = np.linspace(0, 1, 50)
@@ -234,8 +265,13 @@ def test_arms_are_written_as_they_are_shown():
     """A method, its teacher, or its feedback by its proportion to the fullest schedule."""
     assert Arm.of("rrm-proxy")[1:] == ("rrm-proxy", None, None)
     assert Arm.of("pebble (mistaken-10)") == Arm("pebble (mistaken-10)", "pebble", "mistaken-10", None)
-    schedules = [Arm.of(f"pebble ({words})").budget for words in ("full feedback", "batch x 0.1", "every x 4")]
-    assert schedules == [(1.0, 1.0), (0.1, 1.0), (1.0, 4.0)]
+    fields = ("full feedback", "batch x 0.1", "every x 4", "budget x 0.2")
+    schedules = [Arm.of(f"pebble ({words})").budget for words in fields]
+    assert schedules == [(1.0, 1.0, 1.0), (0.1, 1.0, None), (1.0, 4.0, None), (1.0, 1.0, 0.2)]
+    assert Arm.of("mrn (mistaken-10, batch x 0.2)")[1:] == ("mrn", "mistaken-10", (0.2, 1.0, None))
+    for words in ("mrn ()", "mrn (mistaken-10, )", "mrn (batch x 0.2, mistaken-10)", "mrn (mistaken-10batch x 0.2)"):
+        with pytest.raises(ValueError, match="is no method"):
+            Arm.of(words)
 
 
 def test_claims_have_names_of_their_own():

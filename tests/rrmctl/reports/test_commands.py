@@ -6,6 +6,7 @@ import pytest
 from typer.testing import CliRunner
 
 from rrmctl.cli.app import app
+from rrmctl.reports.tables import kinds
 from rrmctl.store.layout import Layout
 from tests.rrmctl.reports import scenes
 from tests.rrmctl.reports.frames import Sweep
@@ -140,6 +141,47 @@ def test_what_is_written_again_with_the_same_content_is_left_alone(results, tmp_
         return everything(tmp_path / "out")
 
     assert written() == written()
+
+
+def test_the_last_evaluations_take_the_place_of_one(results, tmp_path):
+    """`--final mean-K` reaches every form of every table, the page, which names it, and figures of other names;
+    `--final last` changes nothing.
+    """
+    quick, words = ("--results", results, "--replicates", 100), "mean of the last 2 evaluations"
+    for form in ("terminal", "markdown", "latex", "csv", "json"):
+        usual, last, mean = (
+            rrmctl("report", "final", "main-results", *quick, "--format", form, *final).stdout
+            for final in ((), ("--final", "last"), ("--final", "mean-2"))
+        )
+        assert usual == last != mean
+        assert words in mean
+        assert "score_at_step" not in usual
+        assert words not in usual
+    rows = {row["method"]: row for row in json.loads(mean)["reports"][0]["rows"]}
+    assert rows["pebble"]["iqm"] == pytest.approx(0.6)  # seed 1 failed; of 0.7, 0.85, 0.5, 0.25
+    for kind in kinds():  # none of them refuses it
+        ran = rrmctl("report", kind, "main-results", *quick, "--final", "mean-2")
+        assert "--final" not in ran.stderr, kind
+    page = tmp_path / "page.html"
+    assert rrmctl("report", "html", *quick, "-o", page, "--final", "mean-2").exit_code == 0
+    assert f"{words} up to it" in page.read_text()
+    assert "--final mean-2" in page.read_text()
+    names = []
+    for final in ((), ("--final", "mean-2")):
+        names += rrmctl("plot", "main-results", *quick, "--format", "svg", "-o", tmp_path, *final).stdout.split()
+    assert len({*names}) == len(names) == 6
+    assert f"{tmp_path}/main-results-laptop-mean-2.svg" in names
+
+
+@pytest.mark.parametrize("wrong", ["mean-0", "mean--1", "mean-", "mean-2.5", "5", "first", "", "mean-٣", "mean-5\n"])
+def test_no_number_of_evaluations_is_refused(results, wrong):
+    """One message that says what is expected, exit code 2; tables, page and figures alike."""
+    for command in (("report", "iqm", "main-results"), ("report", "html"), ("plot", "main-results")):
+        ran = rrmctl(*command, "--results", results, "--final", wrong)
+        assert ran.exit_code == 2
+        assert ran.stderr.startswith(f"error: --final {wrong!r}: expected last or mean-K")
+        assert "Traceback" not in ran.stderr
+    assert not (results / "figures").exists()
 
 
 def test_figures_are_written_and_named(results):

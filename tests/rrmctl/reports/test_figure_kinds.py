@@ -19,6 +19,7 @@ SCENES = {
     "one seed": lambda: Sweep(curves={method: seeds[:1] for method, seeds in RISING.items()}).frames(),
     "ablation": scenes.ablation,
     "less feedback": scenes.less_feedback,
+    "two budgets": scenes.two_budgets,
     "opposite": scenes.opposite,
     "human": scenes.human,
     "fine-tuning": lambda: scenes.finetune().frames(),
@@ -29,6 +30,7 @@ APPEAR = {
     "one seed": {"curves"},
     "ablation": {"curves", "box", "profile", "ablation"},
     "less feedback": {"curves", "less-feedback", "profile"},
+    "two budgets": {"curves", "box", "profile"},
     "opposite": {"curves", "box", "profile", "diagnostics"},
     "human": {"curves", "box", "profile", "human"},
     "fine-tuning": {"curves", "box", "profile"},  # gradient-norm where runs left norms, see test_gradient_norm

@@ -23,6 +23,17 @@ def test_a_line_is_the_iqm_and_a_band_the_quartiles():
     np.testing.assert_allclose(sorted({y for x, y in band if x == 300}), [low, high])
 
 
+def test_a_curve_can_be_of_the_last_evaluations():
+    """At each step what would be read there: of every run the mean of its last ones, first of those there are."""
+    figure = learning_curves(*Sweep().frames(), last=3)
+    drawn = {line.get_color(): line.get_ydata() for line in panels(figure)[0].get_lines()}
+    pebble = np.array(RISING["pebble"])
+    ends = np.stack([pebble[:, max(0, at - 2) : at + 1].mean(axis=1) for at in range(4)], axis=1)
+    np.testing.assert_allclose(drawn[style("pebble").color], 100 * trim_mean(ends, 0.25, axis=0))
+    assert "mean of the last 3 evaluations" in words(figure)
+    assert "Score at a step" not in words(learning_curves(*Sweep().frames()))
+
+
 def test_one_panel_a_task_with_units():
     """Every task has a panel; axes name their unit; the title names experiment and profile; the legend has n."""
     figure = learning_curves(*Sweep(tasks=("button-press", "door-open", "walker-walk")).frames())

@@ -175,6 +175,14 @@ def test_pairs_of_a_task_with_two_teachers_are_two():
     }  # fmt: skip
 
 
+def test_a_mean_over_training_has_no_last_evaluations():
+    """What is compared is the mean over the whole training whatever is read elsewhere, and the note says so."""
+    usual, other = (make([section()], Statistics(replicates=100, last=last))[0] for last in (1, 2))
+    pd.testing.assert_frame_equal(usual.table, other.table)
+    assert "Compared is the mean score over training, whatever --final says." in other.notes
+    assert not any("Score at a step" in note for note in other.notes)
+
+
 def test_what_asks_nothing_is_compared_once():
     """Two methods without a teacher are one pair of their task, however many teachers others have."""
     alone = [Label("button-press", name, "-", "-") for name in ("oracle", "sac-proxy")]

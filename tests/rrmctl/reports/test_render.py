@@ -157,5 +157,5 @@ def test_json_has_null_for_what_is_missing():
     """NaN is no JSON; a missing interval is null."""
     document = json.loads(to_text(made(SMOKE), "json"), parse_constant=pytest.fail)
     (report,) = document["reports"]
-    assert document["schema_version"] == 2
+    assert document["schema_version"] == 3
     assert {row["low"] for row in report["rows"]} == {None}

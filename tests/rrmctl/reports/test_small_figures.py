@@ -66,6 +66,16 @@ def test_less_feedback_is_a_point_a_budget():
     assert low_end < usual < high_end
 
 
+def test_less_feedback_marks_the_last_evaluations():
+    """The hollow points are what the table has as the last step, the filled ones stay the mean over all steps."""
+    usual, smooth = (panels(less_feedback(*scenes.less_feedback(), replicates=100, last=last))[0] for last in (1, 2))
+    hollow = next(line for line in smooth.get_lines() if line.get_linestyle() == "None")
+    ends = 100 * iqm(np.array(RISING["pebble"])[:, -2:].mean(axis=1, keepdims=True))
+    np.testing.assert_allclose(hollow.get_ydata(), [*ends, *ends, 20.0])
+    filled = [lines(axes, "pebble")[0].get_ydata() for axes in (usual, smooth)]
+    np.testing.assert_array_equal(*filled)
+
+
 def unequal(steps):
     """One task at 90 % and one that rises to 40 %, each evaluated at its own steps, under two schedules."""
     levels = {"button-press": (0.9, 0.9), "door-open": (0.0, 0.4)}

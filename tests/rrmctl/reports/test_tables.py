@@ -29,14 +29,18 @@ TEACHERS = {
 }
 
 
+OWN = "10@5000/100"
+
+
 def noisy(profile="paper"):
-    """The manifest's series: three evaluations under the stochastic teacher, five elsewhere."""
+    """The manifest's series: three evaluations under the stochastic teacher, five and two budgets elsewhere."""
     series = {("button-press", "oracle", "-", "-"): curve(0.1, 0.5, 0.7, 0.9, 1.0)}
     for teacher, methods in TEACHERS.items():
-        length = 3 if teacher == "stochastic" else 5
+        length, schedules = (3, (FULL,)) if teacher == "stochastic" else (5, (FULL, OWN))
         for rank, method in enumerate(methods):
-            levels = np.linspace(0, 0.3 + 0.2 * rank, length)
-            series["button-press", method, teacher, FULL] = curve(*levels, spread=0.1)
+            for feedback in schedules:
+                end = 0.3 + 0.2 * rank - (0.1 + 0.05 * (teacher == "mistaken-15") if feedback == OWN else 0)
+                series["button-press", method, teacher, feedback] = curve(*np.linspace(0, end, length), spread=0.1)
     return section("noisy-teacher", series, steps=STEPS, profile=profile)
 
 
@@ -54,20 +58,24 @@ def row(table, **wanted):
 
 
 def test_every_published_value_is_in_a_row_of_its_own():
-    """Fifteen published values stand beside fifteen rows of ours, and the difference is ours less theirs."""
+    """Fifteen published values stand beside ours, those under mistaken teachers beside either budget's; the difference
+    is ours less theirs.
+    """
     table = table_of(noisy_teacher, noisy(), QUICK)
-    assert len(table) == 15
+    assert table.groupby("feedback").size().to_dict() == {FULL: 15, OWN: 10}
     assert table["published"].notna().all()
     np.testing.assert_allclose(table["difference"], table["iqm"] - table["published"])
-    proxy = row(table, teacher="mistaken-10", method="rrm-mrn-proxy")
-    assert (proxy["published"], proxy["published_half"]) == (pytest.approx(0.988), pytest.approx(0.104))
+    for feedback in (FULL, OWN):
+        proxy = row(table, teacher="mistaken-10", method="rrm-mrn-proxy", feedback=feedback)
+        assert (proxy["published"], proxy["published_half"]) == (pytest.approx(0.988), pytest.approx(0.104))
 
 
 def test_the_oracle_is_read_where_the_stochastic_runs_end():
     """The oracle's run of 500,000 steps is read at 300,000 for the stochastic column, at its end for the others."""
     table = table_of(noisy_teacher, noisy(), QUICK)
-    assert [row(table, teacher=t, method="oracle")["step"] for t in TEACHERS] == [300_000, 500_000, 500_000]
-    assert [row(table, teacher=t, method="oracle")["iqm"] for t in TEACHERS] == [pytest.approx(0.7), 1.0, 1.0]
+    oracles = [row(table, teacher=t, method="oracle", feedback=FULL) for t in TEACHERS]
+    assert [each["step"] for each in oracles] == [300_000, 500_000, 500_000]
+    assert [each["iqm"] for each in oracles] == [pytest.approx(0.7), 1.0, 1.0]
 
 
 def test_intervals_are_brackets_unless_the_papers_form_is_asked_for():
@@ -77,13 +85,13 @@ def test_intervals_are_brackets_unless_the_papers_form_is_asked_for():
     assert not any("±" in cell for cells in listed.grid.rows for cell in cells[:-2])
     (matrix,) = noisy_teacher.make([noisy()], Statistics(replicates=300, plus_minus=True))
     assert matrix.grid.header == (
-        "Method", "stochastic", "paper", "mistaken-10", "paper", "mistaken-15", "paper", "n"
+        "Feedback", "Method", "stochastic", "paper", "mistaken-10", "paper", "mistaken-15", "paper", "n"
     )  # fmt: skip
-    names = [cells[0] for cells in matrix.grid.rows]
-    assert names == ["oracle", "baseline", "rrm-proxy", "rrm-language", "rrm-imitation"]
+    names = ["oracle", "baseline", "rrm-proxy", "rrm-language", "rrm-imitation"]
+    assert [cells[:2] for cells in matrix.grid.rows] == [(feedback, name) for feedback in (FULL, OWN) for name in names]
     wanted = row(listed.table, teacher="stochastic", method="pebble")
     half = 50 * (wanted["high"] - wanted["low"])
-    assert matrix.grid.rows[1][1:3] == (f"{100 * wanted['iqm']:.1f} ± {half:.1f}", "71.8 ± 5.3")
+    assert matrix.grid.rows[1][2:4] == (f"{100 * wanted['iqm']:.1f} ± {half:.1f}", "71.8 ± 5.3")
     assert all(cells[-1] == "5/5" for cells in matrix.grid.rows)
 
 
@@ -100,13 +108,14 @@ def test_the_papers_form_drops_no_method():
 
 
 def test_schedules_of_a_teacher_are_told_apart():
-    """A teacher who is asked under two schedules has a column for each, and in the list the schedule is named."""
+    """A teacher who is asked under two schedules has rows for each, in either form, and the schedule is named."""
     levels = {FULL: 0.6, "5@5000/500": 0.2}
     series = {("door-open", "pebble", "stochastic", asked): curve(level) for asked, level in levels.items()}
     found = section("noisy-teacher", series, steps=[100])
     (matrix,), (listed,) = (noisy_teacher.make([found], settings) for settings in (PAPERS_FORM, QUICK))
-    assert matrix.grid.header == ("Method", f"stochastic {FULL}", "paper", "stochastic 5@5000/500", "paper", "n")
-    assert matrix.grid.rows == (("baseline", "60.0 ± 0.0", "–", "20.0 ± 0.0", "–", "5/5"),)
+    assert matrix.grid.header == ("Feedback", "Method", "stochastic", "paper", "n")
+    asked = [(name, "baseline", f"{100 * level:.1f} ± 0.0", "–", "5/5") for name, level in levels.items()]
+    assert list(matrix.grid.rows) == asked
     assert listed.grid.header[:3] == ("Teacher", "Feedback", "Method")
     assert [cells[1] for cells in listed.grid.rows] == list(levels)
 
@@ -122,11 +131,11 @@ def test_the_step_of_every_task_is_told():
 def test_the_best_method_but_the_oracle_is_bold():
     """Under each teacher the highest value of a method other than the oracle is marked, in both forms."""
     (listed,) = noisy_teacher.make([noisy()], QUICK)
-    bold = {listed.grid.rows[at][1] for at, _ in listed.grid.best}
+    bold = {listed.grid.rows[at][2] for at, _ in listed.grid.best}
     assert bold == {"rrm-imitation", "rrm-mrn-imitation"}
-    assert len(listed.grid.best) == 3
+    assert len(listed.grid.best) == 5
     (matrix,) = noisy_teacher.make([noisy()], Statistics(replicates=300, plus_minus=True))
-    assert matrix.grid.best == {(4, 1), (4, 3), (4, 5)}
+    assert matrix.grid.best == {(4, 2), (4, 4), (4, 6), (9, 4), (9, 6)}
 
 
 @pytest.mark.parametrize("kind", [iqm, final])
@@ -166,17 +175,21 @@ def little(tasks=("button-press", "door-open"), methods=("pebble", "rrm-proxy"),
 
 
 def test_a_budget_is_the_mean_of_the_iqm_over_the_evaluations():
-    """Each point is the mean over the evaluation steps of the IQM over seeds; all tasks together are their mean."""
+    """Each point is the mean over the evaluation steps of the IQM over seeds, beside it the IQM at the last one. All
+    tasks together are their mean.
+    """
     found = little()
     table = table_of(less_feedback, found, QUICK)
     one = row(table, task="door-open", method="pebble", feedback="5@5000/500")
     values = next(s for s in found.series if s.label[:2] == ("door-open", "pebble") and "5@5000/500" in s.label).values
     assert one["mean_iqm"] == pytest.approx(trim_mean(values, 0.25, axis=0).mean())
+    assert one["final_iqm"] == pytest.approx(trim_mean(values[:, -1], 0.25))
     assert (one["evaluations"], one["first_step"], one["last_step"], one["n"]) == (3, 100, 300, 5)
     each = table[(table["method"] == "pebble") & (table["feedback"] == "5@5000/500")]
     pooled = each[each["task"] == less_feedback.EVERY_TASK].iloc[0]
-    assert pooled["mean_iqm"] == pytest.approx(each[each["task"] != less_feedback.EVERY_TASK]["mean_iqm"].mean())
-    assert pooled["low"] < pooled["mean_iqm"] < pooled["high"]
+    for name, ends in (("mean_iqm", ""), ("final_iqm", "final_")):
+        assert pooled[name] == pytest.approx(each[each["task"] != less_feedback.EVERY_TASK][name].mean())
+        assert pooled[f"{ends}low"] < pooled[name] < pooled[f"{ends}high"]
     assert pooled["n"] == 10
 
 
@@ -185,8 +198,8 @@ def test_few_seeds_of_each_task_are_said_to_be_few():
     names = ("button-press", "door-open", "door-unlock")
     series = {(t, "pebble", "oracle", asked): curve(0.5, seeds=2) for t in names for asked in (FULL, "5@5000/500")}
     (little_,) = less_feedback.make([section("less-feedback", series, steps=[100])], QUICK)
-    assert little_.grid.rows[0][2:] == ("50.0 % n < 3 on a task", "6/6")
-    assert little_.grid.rows[2][2:] == ("50.0 % n < 3", "2/2")
+    assert little_.grid.rows[0][3:] == little_.grid.rows[1][3:] == ("50.0 % n < 3 on a task", "6/6")
+    assert little_.grid.rows[4][3:] == ("50.0 % n < 3", "2/2")
     full = {label: values for label, values in series.items() if label[3] == FULL}
     (pooled,) = iqm.make([section("main-results", full, steps=[100])], QUICK)
     assert pooled.grid.rows[-1][0] == ALL_TASKS
@@ -213,11 +226,14 @@ def test_the_mean_over_tasks_is_surer_than_one_task():
 
 
 def test_budgets_are_rows_and_methods_columns():
-    """The grid has a column for each method, the best of a row in bold, and n."""
+    """The grid has a column for each method, a row for the mean over steps and one for the last, the best of a row in
+    bold (both where they are level), and n.
+    """
     (report,) = less_feedback.make([little()], QUICK)
-    assert report.grid.header == ("Task", "Feedback", "pebble", "rrm-proxy", "n")
-    assert len(report.grid.rows) == 6
-    assert report.grid.best == {(at, 3) for at in range(6)}
+    assert report.grid.header == ("Task", "Feedback", "IQM", "pebble", "rrm-proxy", "n")
+    assert [cells[2] for cells in report.grid.rows] == ["over steps", "last step"] * 6
+    means, lasts = ({(at, 4) for at in range(start, 12, 2)} for start in (0, 1))
+    assert report.grid.best == means | lasts | {(at, 3) for at, _ in lasts}
     assert report.grid.rows[0][-1] == "10/10"
 
 
@@ -341,7 +357,8 @@ def test_the_docs_name_every_fact():
     """What stands beside the rows of csv and json is in docs/reports.md, between backticks."""
     text = (Path(__file__).parents[3] / "docs" / "reports.md").read_text(encoding="utf-8")
     named = set(re.findall(r"\w+", " ".join(re.findall(r"`([^`\n]*)`", text.replace("\n", " ")))))
-    told = {fact for report in everything.make([noisy(), little()], QUICK) for fact in report.facts}
+    settings = Statistics(replicates=300, last=2)
+    told = {fact for report in everything.make([noisy(), little()], settings) for fact in report.facts}
     assert told - named == set()
 
 
@@ -362,6 +379,54 @@ def test_a_section_that_cannot_be_compared_keeps_no_other_back():
     rows = pd.read_csv(io.StringIO(to_text(made, "csv")))
     assert len(rows) == 9
     assert rows["problems"].str.contains("no evaluation step is common").sum() == 1
+
+
+VALUES = np.array([[0.0, 0.2, 0.4, 0.9], [0.1, 0.5, 0.3, 1.0], [0.0, 0.4, 0.5, 0.6], [0.2, 0.2, 0.8, 0.7]])
+
+
+@pytest.mark.parametrize("last", [1, 2, 3, 9])
+def test_a_score_at_a_step_can_be_of_several_evaluations(last, robot):
+    """In every table that reads a step a run's score there is the mean of its last evaluations, or of those there are;
+    areas, means over steps and the step itself stay as they are.
+    """
+    label, steps = ("button-press", "pebble", "stochastic", FULL), [100, 200, 300, 400]
+    plain = section("noisy-teacher", {label: VALUES}, steps=steps)
+    schedules = {("button-press", "pebble", "oracle", asked): VALUES for asked in (FULL, OWN)}
+    sparing = section("less-feedback", schedules, steps=steps)
+    ours = {("panda-push", "pebble", "oracle", FULL): VALUES}
+    deployed_ = section("sim-to-real", ours, steps=[400_000, 600_000, 800_000, 1_000_000])
+    settings, wanted = Statistics(replicates=300, last=last), trim_mean(VALUES[:, -last:].mean(axis=1), 0.25)
+    before = table_of(iqm, plain, QUICK)
+    for kind in (iqm, final, noisy_teacher):
+        found = table_of(kind, plain, settings)
+        assert found["iqm"].tolist() == [pytest.approx(wanted)], kind.__name__
+        assert (found["low"] <= found["iqm"]).all()
+        assert found["step"].tolist() == [400]
+    found = table_of(iqm, plain, settings)
+    assert found["auc"].tolist() == before["auc"].tolist()
+    np.testing.assert_allclose(found["q75"], np.quantile(VALUES[:, -last:].mean(axis=1), 0.75))
+    found = table_of(less_feedback, sparing, settings)
+    assert found["final_iqm"].tolist() == [pytest.approx(wanted)] * 2
+    assert found["mean_iqm"].tolist() == [pytest.approx(trim_mean(VALUES, 0.25, axis=0).mean())] * 2
+    third = row(table_of(sim_to_real, deployed_, settings), paper_step=800_000, score="success")
+    assert third["iqm"] == pytest.approx(trim_mean(VALUES[:, max(0, 3 - last) : 3].mean(axis=1), 0.25))
+
+
+def test_no_evaluation_is_no_score():
+    """In a notebook too a score is of one evaluation at least."""
+    with pytest.raises(UserError, match="last=0"):
+        Statistics(last=0)
+
+
+@pytest.mark.parametrize("last", [1, 3, 9])
+def test_notes_say_what_a_score_at_a_step_is(last):
+    """Of how many evaluations it is, and where there are fewer, stands below the table; of one nothing does."""
+    (report,) = final.make([little()], Statistics(last=last, replicates=300))
+    said = [note for note in report.notes if "valuations up to it" in note or "fewer" in note]
+    mean = f"Score at a step: mean of the last {last} evaluations up to it, or of those that there are."
+    few = "There are fewer: button-press, 3 at step 300; door-open, 3 at step 300."
+    assert said == {1: [], 3: [mean], 9: [mean, few]}[last]
+    assert report.facts.get("score_at_step") == (None if last == 1 else f"mean of the last {last} evaluations")
 
 
 GOLDEN = Path(__file__).with_name("golden")
