@@ -20,6 +20,7 @@ from rrm.nets.compiled import EPSILON, LEAK
 from rrm.nets.products import bind
 from rrm.nets.program import (
     Activation,
+    Normal,
     Work,
     activate,
     add_to_rows,
@@ -67,9 +68,8 @@ class Memory:
             for layer, width in enumerate(net.widths[1:-1])
         ]
         self.outputs = torch.zeros(net.members, net.widths[-1], rows, device=net.flat.device)  #: [N, out, B]
-        #: Of each hidden layer that is normalised, before the activation, [N, B, hidden], and what scaled it, [N, B].
-        self.normal = [
-            (room(width, torch.float32), torch.empty(net.members, rows, device=net.flat.device))
+        self.normal = [  #: of each hidden layer, where they are normalised
+            Normal(room(width, torch.float32), torch.empty(net.members, rows, device=net.flat.device))
             for width in net.widths[1:-1]
             if net.normalised
         ]
@@ -85,7 +85,7 @@ class Memory:
         """That of these rows alone."""
         part = copy.copy(self)
         part.hidden, part.outputs = [layer[:, rows] for layer in self.hidden], self.outputs[..., rows]
-        part.normal = [(normal[:, rows], factor[:, rows]) for normal, factor in self.normal]
+        part.normal = [Normal(*(kept[:, rows] for kept in normal)) for normal in self.normal]
         part._spare = {dtype: [room[:, rows] for room in rooms] for dtype, rooms in self._spare.items()}
         return part
 
@@ -146,7 +146,7 @@ class Pass:
             product = out if out.dtype == weight.dtype else self._memory.spare(weight.dtype, layer)
             works.append(bind(h, weight, product))
             if net.normalised:
-                works.append(normalise(net.activation, product, bias, out, *self._memory.normal[layer]))
+                works.append(normalise(net.activation, product, bias, out, self._memory.normal[layer]))
             else:
                 works.append(activate(net.activation, product, bias, out))
             h = out
@@ -186,7 +186,7 @@ class Pass:
             delta = memory.spare(net.factors[layer].dtype, layer)
             total = totals[layer] if totals is not None else None
             if net.normalised:
-                down = undo_norm(net.activation, product, *memory.normal[layer], delta, total)
+                down = undo_norm(net.activation, product, memory.normal[layer], delta, total)
             else:
                 down = undo(net.activation, product, memory.hidden[layer], delta, total)
             yield layer, [bind(grad, _t(above), product), down], delta

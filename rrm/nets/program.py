@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from functools import partial
 from itertools import groupby
-from typing import Literal, NoReturn
+from typing import Literal, NamedTuple, NoReturn
 
 import numpy as np
 import torch
@@ -118,34 +118,36 @@ def undo(
     return work
 
 
-def normalise(
-    activation: Activation, source: Tensor, bias: Tensor, target: Tensor, normal: Tensor, factor: Tensor
-) -> Work:
-    """As `activate`, each row of the sum first shifted and scaled to mean 0 and variance 1 (layer normalisation).
+class Normal(NamedTuple):
+    """What layer normalisation left of a layer, before its activation."""
 
-    What is normal goes to `normal`, float32 [N, B, H], what scaled it to `factor`, float32 [N, B].
-    """
+    rows: Tensor  #: of mean 0 and variance 1, float32 [N, B, H]
+    factor: Tensor  #: what each was scaled by, float32 [N, B]
+
+
+def normalise(activation: Activation, source: Tensor, bias: Tensor, target: Tensor, normal: Normal) -> Work:
+    """As `activate`, each row of the sum first shifted and scaled to mean 0 and variance 1: `normal` is overwritten."""
     if _compiles(source):
         kind = _kind(source, target, activation)
         rows = [
             (NORMALISE, *_at(x), b.data_ptr(), *_at(y)[::3], *_at(n)[::3], f.data_ptr(), kind)
-            for x, b, y, n, f in zip(source, bias, target, normal, factor, strict=True)
+            for x, b, y, n, f in zip(source, bias, target, *normal, strict=True)
         ]
-        return Coded(rows, (source, bias, target, normal, factor))
+        return Coded(rows, (source, bias, target, normal))
 
     def work() -> None:
         total = source.float() + bias
         var, mean = torch.var_mean(total, -1, correction=0, keepdim=True)
         scale = torch.rsqrt(var + EPSILON)
-        factor.copy_(scale[..., 0])
-        torch.mul(total - mean, scale, out=normal)
-        target.copy_(nn.functional.leaky_relu(normal, _SLOPES[activation]))
+        normal.factor.copy_(scale[..., 0])
+        torch.mul(total - mean, scale, out=normal.rows)
+        target.copy_(nn.functional.leaky_relu(normal.rows, _SLOPES[activation]))
 
     return work
 
 
 def undo_norm(
-    activation: Activation, source: Tensor, normal: Tensor, factor: Tensor, target: Tensor, total: Tensor | None = None
+    activation: Activation, source: Tensor, normal: Normal, target: Tensor, total: Tensor | None = None
 ) -> Work:
     """As `undo`, of what `normalise` did."""
     if _compiles(source):
@@ -154,15 +156,15 @@ def undo_norm(
         kind = _kind(source, target, activation)
         rows = [
             (UNDO_NORM, *_at(x), *_at(n)[::3], *_at(y)[::3], to.data_ptr(), f.data_ptr(), kind)
-            for x, n, f, y, to in zip(source, normal, factor, target, total, strict=True)
+            for x, n, f, y, to in zip(source, *normal, target, total, strict=True)
         ]
-        return Coded(rows, (source, normal, factor, target, total))
+        return Coded(rows, (source, normal, target, total))
 
     def work() -> None:
         gradient = source.float()
-        gradient = torch.where(normal <= 0, gradient * _SLOPES[activation], gradient)
-        along = (gradient * normal).mean(-1, keepdim=True)
-        gradient = factor[..., None] * (gradient - gradient.mean(-1, keepdim=True) - along * normal)
+        gradient = torch.where(normal.rows <= 0, gradient * _SLOPES[activation], gradient)
+        along = (gradient * normal.rows).mean(-1, keepdim=True)
+        gradient = normal.factor[..., None] * (gradient - gradient.mean(-1, keepdim=True) - along * normal.rows)
         target.copy_(gradient)
         if total is not None:
             torch.sum(gradient, 1, keepdim=True, out=total)

@@ -50,7 +50,7 @@ ExperimentsOption = Annotated[Path | None, typer.Option(
 )]  # fmt: skip
 ScaleOption = Annotated[str | None, typer.Option(
     autocompletion=_profiles,
-    help="Scale: paper, bpref, laptop, quickstart or smoke. Default: the manifest's, mostly paper.",
+    help="Scale: paper, bpref, bpref-dmc, laptop, quickstart or smoke. Default: the manifest's, mostly paper.",
 )]  # fmt: skip
 SeedsOption = Annotated[
     str | None, typer.Option(metavar="N|LIST", help="10 means seeds 0 to 9; 0,3,7 means these; 4, means seed 4 alone.")

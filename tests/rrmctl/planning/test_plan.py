@@ -7,6 +7,7 @@ from typing import Any
 
 import pytest
 
+from rrm.envs.tasks import TASKS
 from rrmctl.errors import UserError
 from rrmctl.planning import manifest
 from rrmctl.planning.plan import Plan, make_plan, parse_seeds, variant
@@ -526,7 +527,8 @@ BPREF = {  # hidden, layers, batch, step size, steps, and K, M, cap
 def test_bpref_is_what_its_scripts_say(task: str) -> None:
     """Networks, step sizes, schedules and lengths of B-Pref's scripts of PEBBLE; SAC alike, after 5000 random steps."""
     agent, steps, feedback, epochs = BPREF[task]
-    plan = make_plan(manifest.load(EXPERIMENTS / "main-results.toml"), profile="bpref", tasks=[task], seeds="1")
+    profile = "bpref-dmc" if TASKS[task].suite == "dmc" else "bpref"
+    plan = make_plan(manifest.load(EXPERIMENTS / "main-results.toml"), profile=profile, tasks=[task], seeds="1")
     oracle, pebble = (config(plan, only(plan, name)) for name in ("oracle", "pebble"))
     for run in (oracle, pebble):
         assert (run.agent.hidden, run.agent.layers, run.agent.batch, run.agent.actor_lr) == agent
@@ -536,6 +538,15 @@ def test_bpref_is_what_its_scripts_say(task: str) -> None:
     assert (pebble.reward.epochs, pebble.feedback.sampler) == (epochs, "disagreement")
     assert (pebble.exploration.seed_steps, pebble.exploration.unsupervised_steps) == (1000, 9000)
     assert oracle.random_steps == 5000
+
+
+def test_bpref_has_the_paper_s_agent_on_other_suites() -> None:
+    """Without `-dmc` only the step size, the schedule and the length differ from the paper's."""
+    plan = make_plan(
+        manifest.load(EXPERIMENTS / "main-results.toml"), profile="bpref", tasks=["walker-walk"], seeds="1"
+    )
+    run = config(plan, only(plan, "pebble"))
+    assert (run.agent.hidden, run.agent.layers, run.agent.batch, run.agent.actor_lr) == (256, 3, 512, 3e-4)
 
 
 def test_smoke_passes_through_everything() -> None:
