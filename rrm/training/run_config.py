@@ -246,6 +246,8 @@ class RunConfig(JobConfig):
         imitation = _defaulted(imitation, "steps", "episodes", "expert_success", "demos_digest")
         if not self.reward.kind.learned:
             imitation = _defaulted(imitation, "switch")
+        if imitation.pretrain == "mse":  # no density is asked for
+            imitation = _defaulted(imitation, "uniform")
         if imitation.demos is not None:
             digest = file_digest(Path(imitation.demos), "imitation.demos")
             imitation = imitation.model_copy(update={"demos_digest": digest, "demos_run": None})

@@ -136,7 +136,8 @@ def test_the_prior_is_g_of_the_kept_evaluation(prior, results):
 def test_the_prior_is_bounded_from_the_first_step(tmp_path_factory, states, mean, std):
     """Whatever g says, and wherever it lay: within [-1, 1], in g's order, and so is what is stored of it."""
     spec, net = task("toy-car"), RewardNet(ImitationConfig(hidden=1, layers=1), 15, 2, None).net
-    net.flat[[0, 18]] = 1.0  # g is the first number observed, 0 where that is negative
+    first, _, second, _ = (each.detach() for each in net.parameters())
+    first[0, 0], second[0, 0] = 1.0, 1.0  # g is the first number observed, 0 where that is negative
     shape = {"shape": {"hidden": 1, "layers": 1, "head": "linear"}, "obs_dim": 15, "act_dim": 2}
     path = tmp_path_factory.mktemp("prior") / "model.safetensors"
     path.write_bytes(encode({"imitation": {"task": spec.name, **shape, "mean": mean, "std": std, "g": net.flat}}))
@@ -145,6 +146,7 @@ def test_the_prior_is_bounded_from_the_first_step(tmp_path_factory, states, mean
     source.begin_episode(np.zeros(15, np.float32))
     values = np.array([source(np.full(15, state, np.float32), act, {}, 0) for state in states])
     assert (abs(values) <= 1).all()
+    assert values[0, 0] == pytest.approx(np.tanh((max(states[0], 0) - mean) / (std or 1)), rel=1e-5, abs=1e-7)
     assert (np.diff(values[np.argsort(np.maximum(states, 0), kind="stable"), 0]) >= 0).all()
 
 
@@ -396,8 +398,12 @@ def test_names_in_tables(imitating):
 
 
 def test_settings_of_others_change_no_identity(tiny):
-    """To runs that do not begin with demonstrations the section means nothing."""
+    """To runs that do not begin with demonstrations the section means nothing, nor densities to a squared error."""
     assert tiny(imitation=IMITATION).identity == tiny().identity
+    plain = IMITATION.model_copy(update={"uniform": 0.0})
+    assert tiny("airl", imitation=plain).identity != tiny("airl", imitation=IMITATION).identity
+    squared = [each.model_copy(update={"pretrain": "mse"}) for each in (plain, IMITATION)]
+    assert len({tiny("airl", imitation=each).identity for each in squared}) == 1
     with pytest.raises(ConfigError, match="cannot read"):
         RunConfig(
             task="toy-car", seed=0, steps=9000, reward=RewardConfig(learner="airl"),

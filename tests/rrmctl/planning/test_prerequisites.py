@@ -59,7 +59,7 @@ def test_the_papers_numbers() -> None:
 @pytest.mark.parametrize("scale", ["paper", "laptop", "quickstart", "smoke"])
 @pytest.mark.parametrize("task", ["button-press", "walker-walk", "toy-car"])
 def test_the_discriminator_sees_what_the_policy_did_in_twenty_rounds(scale: str, task: str) -> None:
-    """Older transitions are of policies long gone; those of the last round alone would let it forget (Fu et al.)."""
+    """Older transitions are of policies long gone; of the last round alone it would forget what earlier ones did."""
     toy = load(EXPERIMENTS / "toy-car.toml")
     chosen = {"priors": ["imitation"], "methods": ["oracle"]} if task == "toy-car" else {"tasks": [task]}
     plan = make_plan(toy if task == "toy-car" else MAIN, profile=scale, **chosen)  # type: ignore[arg-type]
