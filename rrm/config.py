@@ -167,7 +167,7 @@ class RewardConfig(ConfigSection):
     prior_digest: str | None = None  #: sha-256 of the user's file behind `prior`; filled in by planning
     learner_digest: str | None = None  #: likewise for `learner`
     prior_run: str | None = None  #: identity of the run that trained the prior `imitation`; filled in by planning
-    squash: Literal["none", "tanh"] = "none"  #: of the prior `imitation`, before it is normalised
+    squash: Literal["none", "tanh"] = "tanh"  #: of the prior `imitation`, which `tanh` keeps within [-1, 1]
     options: dict[str, Any] = Field(default_factory=dict)  #: what a learner of the user's own wants to be told
     normaliser: Literal["scale", "zscore"] = "scale"  #: appendix (default), or the main text's
     bound: Literal["tanh", "gaussian"] = "tanh"  #: what keeps the reward near its prior: a tanh, or a squared penalty
@@ -209,7 +209,8 @@ class ImitationConfig(ConfigSection):
     every: Count = 1000  #: environment steps between two trainings of the discriminator
     updates: Count = 100  #: gradient steps of each
     minibatch: Count = 128  #: expert transitions of a gradient step, and as many of the policy's
-    window: Count = 50_000  #: newest transitions that the policy's are drawn from; the paper is silent
+    window: Count = 20_000  #: newest transitions that the policy's are drawn from, of 20 rounds; the paper is silent
+    uniform: Fraction = 0.1  #: share of uniform actions in the density that the discriminator takes for the policy's
     hidden: Count = 256
     layers: Count = 3
     lr: Positive = 1e-4  #: Adam

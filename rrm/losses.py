@@ -57,6 +57,14 @@ def pseudo_label_loss(logits: Tensor, opinion: Tensor, threshold: float) -> tupl
     return (losses * sure).mean(dim=-1).sum(), sure.sum()
 
 
+def with_uniform(log_prob: Tensor, share: float, actions: int) -> Tensor:
+    """Log density [...] where an action of so many numbers is drawn uniformly from [-1, 1] with this probability, and
+    with density exp(`log_prob`) otherwise: bounded below, however little the latter thinks of an action.
+    """
+    by_policy, by_chance = torch.tensor([1 - share, share]).log().tolist()
+    return torch.logaddexp(log_prob + by_policy, torch.tensor(by_chance - actions * math.log(2)))
+
+
 def squashed_gaussian_log_prob(noise: Array, log_std: Array, pre_tanh: Array, xp: Any = torch) -> Array:
     """Log density of the action `tanh(pre_tanh)`, where `pre_tanh = mean + exp(log_std) * noise` and noise is N(0, 1).
 

@@ -3,8 +3,12 @@
 from __future__ import annotations
 
 import math
+from typing import TYPE_CHECKING
 
 from rrm.types import State
+
+if TYPE_CHECKING:
+    from torch import Tensor
 
 
 class RunningMoments:
@@ -27,6 +31,10 @@ class RunningMoments:
     def std(self) -> float:
         """Sample standard deviation (divisor n - 1); 1 until there are two numbers."""
         return 1.0 if self.count < 2 else math.sqrt(self._squares / (self.count - 1))
+
+    def over_std(self, values: Tensor) -> Tensor:
+        """The values over the deviation, where there is one."""
+        return values / (self.std or 1.0)
 
     def state_dict(self) -> State:
         return {"count": self.count, "mean": self.mean, "squares": self._squares}

@@ -38,6 +38,10 @@ class Replay:
         numbers = torch.randint(first, self.transitions, (count,), generator=generator)
         return self._experience.batch(numbers, time_limits_end=time_limits_end)
 
+    def spread(self, count: int) -> Batch:
+        """`count` transitions, evenly over all there are; some twice where there are fewer."""
+        return self._experience.batch(torch.arange(count) * self.transitions // count)
+
     def newest(self, count: int) -> Batch:
         """The last `count` transitions, or all where there are fewer, in order."""
         return self._experience.batch(torch.arange(max(0, self.transitions - count), self.transitions))

@@ -15,6 +15,7 @@ import torch
 from torch import Tensor
 
 from rrm.imitation.discriminator import RewardNet
+from rrm.moments import RunningMoments
 from rrm.parquet import write_table
 from rrm.rewards.ensemble import EnsembleReward
 from rrm.rewards.pebble import Pebble
@@ -57,17 +58,24 @@ class GradientLog:
 
 
 class ImitatedReward(EnsembleReward):
-    """g as an ensemble of one member, without a prior."""
+    """g as an ensemble of one member, without a prior, over the deviation of the reward that the agent had before."""
 
-    def __init__(self, g: RewardNet) -> None:
-        self._g, self._net = g, g.net
+    def __init__(self, g: RewardNet, scale: RunningMoments) -> None:
+        self._g, self._net, self._scale = g, g.net, scale
 
     def members(self, segments: Segments) -> Tensor:
-        rewards = self._g(torch.cat([segments.obs, segments.act], dim=-1))
+        rewards = self._scale.over_std(self._g(torch.cat([segments.obs, segments.act], dim=-1)))
         return rewards if rewards.ndim == 3 else rewards.unsqueeze(0)
 
     def predict(self, obs: Tensor, act: Tensor, prior: Tensor) -> Tensor:  # noqa: ARG002 (the seam of residuals)
-        return self._g.predict(obs, act)
+        return self._scale.over_std(self._g.predict(obs, act))
+
+    def state_dict(self) -> State:
+        return super().state_dict() | {"scale": self._scale.state_dict()}
+
+    def load_state_dict(self, state: State) -> None:
+        super().load_state_dict(state)
+        self._scale.load_state_dict(state["scale"])
 
 
 class Finetune(Pebble):

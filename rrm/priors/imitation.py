@@ -1,7 +1,8 @@
 """The prior that demonstrations make: the reward g(s, a) of an AIRL run, frozen (appendix "Imitation rewards").
 
-Of the state before the step, as all priors of the paper. Its value has no bound; `squash: tanh` gives it one. No torch
-is imported before a prior is loaded.
+Of the state before the step, as all priors of the paper: tanh((g - mean) / deviation), with the mean and the deviation
+that g had on what the AIRL run saw. They are fixed, so that the order of g is kept and most of it lies where the tanh
+is steep. No torch is imported before a prior is loaded.
 """
 
 from __future__ import annotations
@@ -20,11 +21,11 @@ if TYPE_CHECKING:
 
 
 class ImitationPrior:
-    """g as it was kept by the run that trained it, on the same task; `squash` bounds it to (-1, 1) with a tanh."""
+    """g as it was kept by the run that trained it, on the same task; its z-score where nothing is squashed."""
 
     needs: tuple[tuple[str, ...], ...] = ((),)  #: of the features of the task
 
-    def __init__(self, path: Path, task: Task, squash: Literal["none", "tanh"] = "none") -> None:
+    def __init__(self, path: Path, task: Task, squash: Literal["none", "tanh"] = "tanh") -> None:
         import torch
 
         from rrm.checkpoint import read_networks
@@ -34,18 +35,21 @@ class ImitationPrior:
         kept = read_networks(path, "which holds the imitation prior").get("imitation")
         if kept is None:
             raise MissingResultError(f"{path} holds no imitation prior: another kind of run wrote it")
+        if "std" not in kept:
+            raise PriorError(f"{path} is a prior of an earlier version: run the experiment again, which trains another")
         if kept["task"] != task.name:
             raise PriorError(f"{path} was trained on {kept['task']}, not on {task.name}")
         self._g = RewardNet(ImitationConfig(**kept["shape"]), kept["obs_dim"], kept["act_dim"], None)
         self._g.net.flat.copy_(kept["g"])
         self._row = torch.empty(1, kept["obs_dim"] + kept["act_dim"])
+        self._mean, self._std = kept["mean"], kept["std"] or 1.0
         self._squash = squash == "tanh"
 
     def __call__(self, step: PriorStep) -> float:
-        """G of the state before the step and the action."""
+        """Of the state before the step and the action."""
         import torch
 
         self._row.copy_(torch.from_numpy(np.concatenate((step.obs, step.act))))
         with torch.no_grad():
-            raw = float(self._g(self._row))
-        return math.tanh(raw) if self._squash else raw
+            score = (float(self._g(self._row)) - self._mean) / self._std
+        return math.tanh(score) if self._squash else score

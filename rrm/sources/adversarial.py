@@ -3,7 +3,10 @@ appendix "Imitation rewards").
 
 The agent is trained on f over its running standard deviation, taken anew for every batch it samples, so that no reward
 is older than the discriminator; its own entropy term stands for -log pi. Policy transitions are uniform among the
-newest. What is kept is g as it was at the latest of the best evaluations: the final one where that is at 100 %.
+newest. The density of a policy that has made up its mind is all but zero at what the expert does, and at what earlier
+policies did: there f would be driven to minus thousands, and an expert be told by its density alone. So the density is
+that of a policy with some uniform actions. What is kept is g as it was at the latest of the best evaluations: the final
+one where that is at 100 %.
 """
 
 from __future__ import annotations
@@ -13,8 +16,9 @@ from typing import TYPE_CHECKING, cast
 
 import torch
 
-from rrm.imitation.discriminator import Discriminator, RewardNet
+from rrm.imitation.discriminator import Discriminator
 from rrm.imitation.finetune import GradientLog
+from rrm.losses import with_uniform
 from rrm.moments import RunningMoments
 from rrm.sources.base import RewardSource
 from rrm.types import Batch
@@ -68,7 +72,7 @@ class Adversarial(RewardSource):
         blank, continues = torch.zeros(len(demos)), 1.0 - torch.from_numpy(demos.terminated.astype("float32"))
         self._expert = Batch(obs, act, blank, blank, next_obs, continues)
         self._generator = streams.torch("imitation")
-        self._scale = RunningMoments()
+        self.scale = RunningMoments()  #: of the reward that the agent was trained on, before it was divided by this
         self._kept: State | None = None
 
     def log(self, loss: str, norm: float) -> None:
@@ -87,6 +91,7 @@ class Adversarial(RewardSource):
             log_prob = cast("StochasticAgent", agent).log_prob(
                 torch.cat((expert.obs, policy.obs)), torch.cat((expert.act, policy.act))
             )
+            log_prob = with_uniform(log_prob, config.uniform, self._sizes[1])
             norm = self.discriminator.step(expert, policy, log_prob)
             if self._about is None:
                 self.log(config.pretrain, norm)
@@ -95,15 +100,15 @@ class Adversarial(RewardSource):
         """As it is now, for the curve; what the agent learns from is taken anew with every batch."""
         obs, act, next_obs = (torch.from_numpy(part)[None] for part in (step.obs, step.act, step.next_obs))
         blank, continues = torch.zeros(1), torch.tensor([0.0 if step.terminated else 1.0])
-        return float(self._raw(Batch(obs, act, blank, blank, next_obs, continues)) / (self._scale.std or 1.0))
+        return float(self.scale.over_std(self._raw(Batch(obs, act, blank, blank, next_obs, continues))))
 
     def batch(self, agent: Agent) -> Batch:  # noqa: ARG002 (the seam of others)
         """Transitions with their reward now; the deviation takes the batch in first."""
         batch = self._replay.sample()
         raw = self._raw(batch)
         values = raw.double()
-        self._scale.add(float(values.mean()), float(values.var(correction=0)), len(values))
-        return batch._replace(reward=raw / (self._scale.std or 1.0))
+        self.scale.add(float(values.mean()), float(values.var(correction=0)), len(values))
+        return batch._replace(reward=self.scale.over_std(raw))
 
     def _raw(self, batch: Batch) -> Tensor:
         if self._config.pretrain == "mse":
@@ -113,17 +118,23 @@ class Adversarial(RewardSource):
     def evaluated(self, step: int, evaluation: Evaluation) -> None:
         """Keep g as it is, unless an earlier evaluation was better; the return decides where success is NaN.
 
-        The range of g is recorded on the demonstrations and on the policy's newest transitions.
+        The range of g is recorded on the demonstrations and on the policy's newest transitions; its mean and deviation
+        on both the demonstrations and the whole run, from random actions on: what a run on this prior will see.
         """
         success = None if math.isnan(evaluation.success) else evaluation.success
         score = evaluation.true_return if success is None else success
         if self._about is None or (self._kept is not None and self._kept["score"] > score):
             return
-        g, newest = self.discriminator.g, self._replay.newest(self._config.window)
+        g, window = self.discriminator.g, self._config.window
+        demos, policy, run = (
+            g.predict(batch.obs, batch.act)
+            for batch in (self._expert, self._replay.newest(window), self._replay.spread(len(self._expert.obs)))
+        )
+        seen = torch.cat((demos, run)).double()
         self._kept = {
             "score": score, "step": step, "success": success, "true_return": evaluation.true_return,
-            "range": {"demonstrations": _range(g, self._expert), "policy": _range(g, newest)},
-            "g": g.net.flat.clone(),
+            "range": {"demonstrations": _range(demos), "policy": _range(policy)},
+            "mean": float(seen.mean()), "std": float(seen.std()), "g": g.net.flat.clone(),
         }  # fmt: skip
 
     def legacy(self) -> State:
@@ -144,19 +155,19 @@ class Adversarial(RewardSource):
             self.gradients.write(folder / "gradients.parquet")
 
     def state_dict(self) -> State:
-        scale = self._scale.state_dict()
+        scale = self.scale.state_dict()
         airl = {"discriminator": self.discriminator.state_dict(), "scale": scale, "kept": self._kept}
         return {"airl": airl, "gradients": self.gradients.state_dict()}
 
     def load_state_dict(self, state: State) -> None:
         airl = state["airl"]
         self.discriminator.load_state_dict(airl["discriminator"])
-        self._scale.load_state_dict(airl["scale"])
+        self.scale.load_state_dict(airl["scale"])
         self._kept = airl["kept"]
         self.gradients.load_state_dict(state["gradients"])
 
 
-def _range(g: RewardNet, batch: Batch) -> list[float]:
-    """Smallest and largest reward of the transitions."""
-    low, high = torch.aminmax(g.predict(batch.obs, batch.act))
+def _range(values: Tensor) -> list[float]:
+    """Smallest and largest."""
+    low, high = torch.aminmax(values)
     return [float(low), float(high)]

@@ -17,6 +17,7 @@ from rrm.imitation.demos import Demonstrations
 from rrm.imitation.discriminator import RewardNet
 from rrm.imitation.finetune import Finetune, ImitatedReward
 from rrm.interfaces import Agent, RewardFunction, RewardLearner
+from rrm.moments import RunningMoments
 from rrm.priors import load_prior
 from rrm.priors.imitation import ImitationPrior
 from rrm.priors.step import PriorStep
@@ -89,7 +90,7 @@ def assemble(config: RunConfig, streams: Streams, results: Results) -> Parts:
         )  # fmt: skip
         phases = [Phase(begin=begin, source=source)]
         if kind.learned:
-            g = ImitatedReward(source.discriminator.g)
+            g = ImitatedReward(source.discriminator.g, source.scale)
             tuned = preferences(Finetune(g, config.reward, streams.numpy("reward"), source.log))
             updates = int(switch % config.agent.update_every == 0)  # the agent learns on as it did
             phases.append(Phase(begin=switch, source=tuned, first_updates=updates))
@@ -133,7 +134,7 @@ def build_reward(config: RunConfig, streams: Streams) -> RewardFunction:
     """
     kind, spaces = ResidualReward if config.reward.prior is not None else EnsembleReward, config.spec().spaces
     if config.from_demonstrations:
-        return ImitatedReward(RewardNet(config.imitation, spaces.obs, spaces.act, None))
+        return ImitatedReward(RewardNet(config.imitation, spaces.obs, spaces.act, None), RunningMoments())
     return kind(config.reward, spaces.obs, spaces.act, streams.torch("reward-init"), config.precision)
 
 

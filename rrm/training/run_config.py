@@ -42,6 +42,9 @@ _S = TypeVar("_S", bound=ConfigSection)
 #: Raised by one when the same configuration would give other numbers than before.
 CONFIG_VERSION = 2
 
+#: Likewise of runs that begin with demonstrations, and thereby of those on the prior they leave.
+DEMONSTRATED_VERSION = 2
+
 #: A hundred times the paper's. Each trains on all labels so far, and planning counts them one by one.
 _MOST_SESSIONS = 10_000
 
@@ -243,6 +246,8 @@ class RunConfig(JobConfig):
         imitation = _defaulted(imitation, "steps", "episodes", "expert_success", "demos_digest")
         if not self.reward.kind.learned:
             imitation = _defaulted(imitation, "switch")
+        if imitation.pretrain == "mse":  # no density is asked for
+            imitation = _defaulted(imitation, "uniform")
         if imitation.demos is not None:
             digest = file_digest(Path(imitation.demos), "imitation.demos")
             imitation = imitation.model_copy(update={"demos_digest": digest, "demos_run": None})
@@ -266,6 +271,8 @@ class RunConfig(JobConfig):
             if name is not None and is_file_reference(name):
                 described["reward"][key] = name.rpartition(":")[2]
         described.get("imitation", {}).pop("demos", None)  # likewise
+        if self.from_demonstrations:
+            described.setdefault("imitation", {})["version"] = DEMONSTRATED_VERSION
         text = json.dumps({"version": CONFIG_VERSION, **described}, sort_keys=True, allow_nan=False)
         return hashlib.sha256(text.encode()).hexdigest()[:16]
 

@@ -73,8 +73,8 @@ def load_config(folder: RunFolder) -> JobConfig:
     except ValidationError as error:
         raise DamagedError(f"{folder.config} is not a configuration: {error}", CONFIG_HINT) from error
     if config.identity != folder.id:
-        problem = f"{folder.config} describes run {config.identity}, not {folder.id}: it was edited"
-        raise DamagedError(problem, CONFIG_HINT)
+        why = f"describes run {config.identity}, not {folder.id}: it was edited, or an earlier version wrote it"
+        raise DamagedError(f"{folder.config} {why}", CONFIG_HINT)
     return config
 
 

@@ -14,6 +14,7 @@ from rrm.losses import (
     pseudo_label_loss,
     squashed_gaussian_log_prob,
     window_sums,
+    with_uniform,
 )
 
 
@@ -68,6 +69,15 @@ def test_log_prob_integrates_to_one() -> None:
     noise = (pre_tanh - mean) / log_std.exp()
     density = squashed_gaussian_log_prob(noise, log_std, pre_tanh).exp()
     assert torch.trapezoid(density, torch.tanh(pre_tanh[0])).item() == pytest.approx(1.0, abs=1e-6)
+
+
+@given(st.floats(-2000, 20), st.floats(0, 1), st.integers(1, 8))
+def test_a_density_mixed_with_uniform_actions(log_prob: float, share: float, actions: int) -> None:
+    """As the mixture of both densities has it; nothing mixed in is the density itself."""
+    mixed = with_uniform(torch.tensor([log_prob]), share, actions).double()
+    expected = (1 - share) * math.exp(log_prob) + share / 2**actions
+    torch.testing.assert_close(mixed.exp(), torch.tensor([expected]).double(), rtol=1e-4, atol=1e-30)
+    assert with_uniform(torch.tensor([log_prob]), 0.0, actions).item() == pytest.approx(log_prob, rel=1e-6)
 
 
 def test_log_prob_is_finite_where_tanh_saturates() -> None:

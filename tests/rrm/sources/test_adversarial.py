@@ -25,6 +25,9 @@ class Replay:
     def newest(self, count):
         return batch()
 
+    def spread(self, count):
+        return batch(2, count)
+
 
 def make(**changes):
     config, options = CONFIG.model_copy(update=changes), {"precision": "float32", "about": {"task": "toy-car"}}
@@ -88,6 +91,16 @@ def test_the_policys_density_is_asked_for_the_experts_actions_too():
     assert (act[4:] != 0).all()
 
 
+def test_no_density_is_all_but_zero():
+    """The policy's, mixed with a tenth of uniform actions: an expert is not told by what the policy would never do."""
+    source, policy, told = make(), Uniform(), []
+    policy.log_prob = lambda obs, act: torch.full((len(obs),), -1000.0)
+    step = source.discriminator.step
+    source.discriminator.step = lambda *args: told.append(args[2]) or step(*args)
+    train(source, policy)
+    torch.testing.assert_close(torch.stack(told), torch.full((3, 8), np.log(0.1 / 4)))
+
+
 def test_demonstrations_are_told_from_the_policy():
     """After some rounds g is higher on what the expert does."""
     source = make(updates=200)
@@ -121,6 +134,18 @@ def test_the_latest_of_the_best_evaluations_is_kept(evaluations, kept):
     assert prior["shape"] == {"hidden": 8, "layers": 1, "head": "linear"}
     low, high = prior["range"]["policy"]
     assert low < high
+
+
+def test_where_g_lies_is_kept_with_it():
+    """Mean and deviation over the demonstrations and as many transitions from all of the run."""
+    source, expert = make(), demos()
+    train(source, Uniform())
+    source.evaluated(10, Evaluation(1.0, 1.0))
+    g, run = source.discriminator.g, batch(2, len(expert))
+    shown = g.predict(torch.from_numpy(expert.obs), torch.from_numpy(expert.act))
+    seen = np.concatenate((shown.numpy(), g.predict(run.obs, run.act).numpy())).astype(np.float64)
+    prior = source.legacy()["imitation"]
+    assert (prior["mean"], prior["std"]) == pytest.approx((seen.mean(), seen.std(ddof=1)))
 
 
 def test_the_figures_variant_rewards_g_itself():

@@ -7,8 +7,10 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 import torch
+from hypothesis import given
+from hypothesis import strategies as st
 
-from rrm.checkpoint import decode
+from rrm.checkpoint import decode, encode
 from rrm.config import (
     AgentConfig,
     EvaluationConfig,
@@ -17,11 +19,15 @@ from rrm.config import (
     ImitationConfig,
     RewardConfig,
 )
+from rrm.envs import task
 from rrm.errors import ConfigError, DemosError, MissingResultError, PriorError
 from rrm.imitation.demos import Demonstrations
+from rrm.imitation.discriminator import RewardNet
 from rrm.priors.imitation import ImitationPrior
+from rrm.priors.values import PriorSource
 from rrm.registry import file_digest
-from rrm.training.build import result_of
+from rrm.seeding import Streams
+from rrm.training.build import build_reward, result_of
 from rrm.training.jobs import collect, perform, train
 from rrm.training.kinds import DemosConfig
 from rrm.training.loop import Trainer
@@ -117,20 +123,44 @@ def test_the_prior_is_g_of_the_kept_evaluation(prior, results):
 
     weights = kept["g"]
     hidden = torch.relu(torch.from_numpy(row) @ weights[: 17 * 16].view(17, 16) + weights[272:288])
-    expected = float(hidden @ weights[288:304] + weights[304])
-    assert loaded(Step()) == pytest.approx(expected, rel=1e-5)
-    assert ImitationPrior(path, prior.spec(), "tanh")(Step()) == pytest.approx(np.tanh(expected), rel=1e-5)
+    expected = (float(hidden @ weights[288:304] + weights[304]) - kept["mean"]) / kept["std"]
+    assert loaded(Step()) == pytest.approx(np.tanh(expected), rel=1e-5)
+    assert ImitationPrior(path, prior.spec(), "none")(Step()) == pytest.approx(expected, rel=1e-5)
+
+
+@given(
+    states=st.lists(st.floats(-1e4, 1e4, width=32), min_size=2, max_size=9),
+    mean=st.floats(-1e6, 1e6),
+    std=st.floats(0, 1e6),
+)
+def test_the_prior_is_bounded_from_the_first_step(tmp_path_factory, states, mean, std):
+    """Whatever g says, and wherever it lay: within [-1, 1], in g's order, and so is what is stored of it."""
+    spec, net = task("toy-car"), RewardNet(ImitationConfig(hidden=1, layers=1), 15, 2, None).net
+    first, _, second, _ = (each.detach() for each in net.parameters())
+    first[0, 0], second[0, 0] = 1.0, 1.0  # g is the first number observed, 0 where that is negative
+    shape = {"shape": {"hidden": 1, "layers": 1, "head": "linear"}, "obs_dim": 15, "act_dim": 2}
+    path = tmp_path_factory.mktemp("prior") / "model.safetensors"
+    path.write_bytes(encode({"imitation": {"task": spec.name, **shape, "mean": mean, "std": std, "g": net.flat}}))
+    prior, act = ImitationPrior(path, spec), np.zeros(2, np.float32)
+    source = PriorSource("imitation", prior, "scale", spec, np.random.default_rng(0))
+    source.begin_episode(np.zeros(15, np.float32))
+    values = np.array([source(np.full(15, state, np.float32), act, {}, 0) for state in states])
+    assert (abs(values) <= 1).all()
+    assert values[0, 0] == pytest.approx(np.tanh((max(states[0], 0) - mean) / (std or 1)), rel=1e-5, abs=1e-7)
+    assert (np.diff(values[np.argsort(np.maximum(states, 0), kind="stable"), 0]) >= 0).all()
 
 
 @pytest.mark.parametrize("learner", ["pebble", "prior"])
 def test_a_run_on_the_prior_stores_it_normalised(tiny, prior, results, learner):
-    """The residual model and the prior alone: g as collected, over its running deviation where that exceeds 1."""
-    config = tiny(learner=learner, steps=300, prior="imitation", prior_run=prior.identity)
+    """The residual model and the prior alone: as collected, over its running deviation where that exceeds 1."""
+    config = tiny(learner=learner, steps=300, prior="imitation", prior_run=prior.identity, squash="none")
     trainer = Trainer(config, results)
     for _ in range(120):
         trainer.advance()
     rows = trainer.experience.since(0)
+    kept = decode((results[prior.identity] / "model.safetensors").read_bytes())["imitation"]
     g = trainer.prior._prior._g.predict(trainer.experience.obs[rows], trainer.experience.act[rows])
+    g = (g - kept["mean"]) / kept["std"]
     torch.testing.assert_close(trainer.experience.raw_prior[rows], g, rtol=1e-4, atol=1e-5)
     seen = g.double().numpy()
     deviation = np.array([1.0 if n < 2 else max(1.0, seen[:n].std(ddof=1)) for n in range(1, 121)])
@@ -142,7 +172,7 @@ def test_the_prior_is_part_of_the_identity(tiny):
     """Another prior, or another bound of it, is another run; to other priors neither means anything."""
     on = [tiny(prior="imitation", prior_run=run) for run in ("0" * 16, "1" * 16)]
     assert on[0].identity != on[1].identity
-    assert on[0].identity != tiny(prior="imitation", prior_run="0" * 16, squash="tanh").identity
+    assert on[0].identity != tiny(prior="imitation", prior_run="0" * 16, squash="none").identity
     assert on[0].requires == ("0" * 16,)
     assert tiny(prior="proxy", prior_run="0" * 16).identity == tiny(prior="proxy").identity
     assert tiny(prior="proxy", prior_run="0" * 16).requires == ()
@@ -156,10 +186,13 @@ def test_a_missing_or_foreign_prior_is_refused(tiny, prior, results, tmp_path):
     with pytest.raises(MissingResultError, match="the run None is needed first"):
         result_of(results, None, "model.safetensors")
     path = results[prior.identity] / "model.safetensors"
-    from rrm.envs import task
-
     with pytest.raises(PriorError, match="was trained on toy-car, not on button-press"):
         ImitationPrior(path, task("button-press"))
+    earlier = decode(path.read_bytes())
+    del earlier["imitation"]["mean"], earlier["imitation"]["std"]
+    (tmp_path / "earlier.safetensors").write_bytes(encode(earlier))
+    with pytest.raises(PriorError, match="a prior of an earlier version: run the experiment again"):
+        ImitationPrior(tmp_path / "earlier.safetensors", task("toy-car"))
     oracle = results[results["demos"].expert.identity] / "model.safetensors"
     with pytest.raises(MissingResultError, match="holds no imitation prior"):
         ImitationPrior(oracle, task("toy-car"))
@@ -296,26 +329,32 @@ def test_the_window_leaves_older_transitions_out(imitating, results):
 
 
 def test_fine_tuning_goes_on_with_everything_but_the_loss(imitating, results):
-    """At the switch g learns from preferences and relabels; agent, temperature and buffer are not reset."""
+    """At the switch g learns from preferences and relabels, in the reward's unit until then; agent, temperature and
+    buffer are not reset.
+    """
     config = imitating("finetune", feedback=FeedbackConfig(every=50, batch=10, budget=25, segment=10))
     trainer = Trainer(config, results)
     while trainer.step < 300:
         trainer.advance()
     agent, transitions = trainer.agent.state_dict(), trainer.experience.transitions
     critic = trainer.agent._adams["critic"].state_dict()["steps"].item()
-    before = trainer.sources["adversarial"].discriminator.state_dict()
+    adversarial = trainer.sources["adversarial"]
+    before, scale = adversarial.discriminator.state_dict(), adversarial.scale.state_dict()
     trainer.advance()
     assert trainer.agent.updates == agent["updates"] + 1
     assert trainer.agent._adams["critic"].state_dict()["steps"].item() == critic + 1
     assert trainer.experience.transitions == transitions + 1
-    after = trainer.sources["adversarial"].discriminator.state_dict()
+    after = adversarial.discriminator.state_dict()
     assert not torch.equal(before["g"], after["g"])
     assert torch.equal(before["h"], after["h"])
     rows = trainer.experience.since(0)
-    g = trainer.sources["adversarial"].discriminator.g.predict(
-        trainer.experience.obs[rows], trainer.experience.act[rows]
-    )
-    torch.testing.assert_close(trainer.experience.reward[rows], g)
+    g = adversarial.discriminator.g.predict(trainer.experience.obs[rows], trainer.experience.act[rows])
+    torch.testing.assert_close(trainer.experience.reward[rows], g / adversarial.scale.std)
+    assert adversarial.scale.state_dict() == scale
+    loaded, blank = build_reward(config, Streams(1)), torch.zeros(len(rows))
+    loaded.load_state_dict(trainer.legacy()["reward"])
+    given = loaded.predict(trainer.experience.obs[rows], trainer.experience.act[rows], blank)
+    torch.testing.assert_close(given, trainer.experience.reward[rows])
     assert trainer.sources["preferences"].queries == 10
     trainer.close()
 
@@ -359,8 +398,12 @@ def test_names_in_tables(imitating):
 
 
 def test_settings_of_others_change_no_identity(tiny):
-    """To runs that do not begin with demonstrations the section means nothing."""
+    """To runs that do not begin with demonstrations the section means nothing, nor densities to a squared error."""
     assert tiny(imitation=IMITATION).identity == tiny().identity
+    plain = IMITATION.model_copy(update={"uniform": 0.0})
+    assert tiny("airl", imitation=plain).identity != tiny("airl", imitation=IMITATION).identity
+    squared = [each.model_copy(update={"pretrain": "mse"}) for each in (plain, IMITATION)]
+    assert len({tiny("airl", imitation=each).identity for each in squared}) == 1
     with pytest.raises(ConfigError, match="cannot read"):
         RunConfig(
             task="toy-car", seed=0, steps=9000, reward=RewardConfig(learner="airl"),

@@ -9,6 +9,7 @@ from rrm.config import (
     AgentConfig,
     ExplorationConfig,
     FeedbackConfig,
+    ImitationConfig,
     MrnConfig,
     RewardConfig,
     SurfConfig,
@@ -124,6 +125,16 @@ def test_identities_are_stable():
     """These digests must never change: results on disk are known by them. A change of numbers raises CONFIG_VERSION."""
     assert run().identity == "73241a693b7e8edb"
     assert run(reward=RewardConfig(prior="proxy"), seed=3).identity == "5136ce186e19089a"
+
+
+@pytest.mark.parametrize(
+    ("learner", "before", "now"),
+    [("airl", "26010b0fb451471e", "3bdd934529e06a06"), ("finetune", "742dcf414892bf43", "4ff7f2a8e9f13269")],
+)
+def test_runs_from_demonstrations_have_a_version_of_their_own(learner, before, now):
+    """A default of theirs gave other numbers once: the identity of that time stands for other results."""
+    identity = run(reward=RewardConfig(learner=learner), imitation=ImitationConfig(demos_run="0" * 16)).identity
+    assert before != identity == now
 
 
 def test_a_cell_is_the_run_without_its_seed():

@@ -52,8 +52,19 @@ def test_the_papers_numbers() -> None:
     assert isinstance(demos, DemosConfig)
     assert (config.steps, config.random_steps, demos.episodes) == (1_000_000, 5000, 50)
     imitation = config.imitation
-    assert (imitation.every, imitation.updates, imitation.minibatch, imitation.window) == (1000, 100, 128, 50_000)
+    assert (imitation.every, imitation.updates, imitation.minibatch, imitation.window) == (1000, 100, 128, 20_000)
     assert (imitation.hidden, imitation.layers, imitation.lr) == (256, 3, 1e-4)
+
+
+@pytest.mark.parametrize("scale", ["paper", "laptop", "quickstart", "smoke"])
+@pytest.mark.parametrize("task", ["button-press", "walker-walk", "toy-car"])
+def test_the_discriminator_sees_what_the_policy_did_in_twenty_rounds(scale: str, task: str) -> None:
+    """Older transitions are of policies long gone; of the last round alone it would forget what earlier ones did."""
+    toy = load(EXPERIMENTS / "toy-car.toml")
+    chosen = {"priors": ["imitation"], "methods": ["oracle"]} if task == "toy-car" else {"tasks": [task]}
+    plan = make_plan(toy if task == "toy-car" else MAIN, profile=scale, **chosen)  # type: ignore[arg-type]
+    imitation = plan.configs[plan.needed[-1].id].imitation  # type: ignore[union-attr]
+    assert imitation.window == 20 * imitation.every
 
 
 def test_profiles_scale_the_chain() -> None:
