@@ -79,8 +79,7 @@ class AgentConfig(ConfigSection):
     tau: Fraction = 0.005  #: share of the critic that enters its target
     target_every: Count = 2  #: updates between two target updates
     update_every: Count = 1  #: environment steps per update
-    early_updates: Count = 1  #: updates at each step that has any, before `early_steps`; not in the paper
-    early_steps: NonNegative = 0  #: environment steps with so many updates; not in the paper
+    early_steps: NonNegative = 0  #: environment steps at which one update is two; not in the paper
     critic_norm: Literal["none", "layer"] = "none"  #: layer normalisation in the critics; not in the paper
     kind: Literal["sac"] = "sac"  #: its name in `rrm.agents.AGENTS`
 
@@ -88,7 +87,7 @@ class AgentConfig(ConfigSection):
         """Updates of the agent before this environment step."""
         if step % self.update_every:
             return 0
-        return self.early_updates if step < self.early_steps else 1
+        return 2 if step < self.early_steps else 1
 
 
 class LearnerSettings(ConfigSection):
@@ -176,6 +175,8 @@ class RewardConfig(ConfigSection):
     hidden: Count = 256
     layers: Count = 3
     lr: Positive = 3e-4  #: Adam; the appendix' value, the main text says 3e-3
+    inputs: Literal["raw", "standard"] = "raw"  #: observations as they are, or (not in the paper) less their mean and
+    #: over their deviation, at least 0.05, before the first training
     minibatch: Count = 128  #: labelled pairs per gradient step
     epochs: Count = 10  #: passes over all labels per session at the most
     target_accuracy: Fraction = 0.97  #: stop after an epoch above it; 1 never stops early

@@ -85,6 +85,9 @@ class StochasticAgent(Agent, Protocol):
 class RewardFunction(Stateful, Protocol):
     """A learned reward: what an ensemble says of each step, with or without a prior inside."""
 
+    def begin(self, obs: Tensor) -> None:
+        """Told of all observations so far, float32 [n, O], before the first training."""
+
     def members(self, segments: Segments) -> Tensor:
         """Reward of every step by every member, float32 [N, B, T], differentiable."""
 

@@ -21,24 +21,39 @@ from rrm.nets.mlp import StackedMLP
 from rrm.precision import Precision
 from rrm.types import Segments, State
 
+#: Of a deviation: what hardly moves at first may well move later.
+_SMALLEST = 0.05
+
 
 class EnsembleReward:
     """r(s, a) by every member (appendix "Model structure"), each bounded by tanh; the prior is not looked at."""
 
     on_prior = False  #: whether the prior's value is an input, and part of the sum
+    _standard = False  # whether observations are shifted and scaled before they are looked at
 
     def __init__(
         self, config: RewardConfig, obs_dim: int, act_dim: int, generator: Generator, precision: Precision = "float32"
     ) -> None:
         self._config = config
+        self._standard = config.inputs == "standard"
+        self._shift, self._factor = torch.zeros(obs_dim), torch.ones(obs_dim)
         self._linear = self.on_prior and config.bound == "gaussian"  # nothing bounds what the networks say
         self._net = StackedMLP(
             config.members, obs_dim + act_dim + self.on_prior, config.hidden, config.layers, 1,
             activation="leaky_relu", init="torch", generator=generator, precision=precision,
         )  # fmt: skip
 
+    def begin(self, obs: Tensor) -> None:
+        if self._standard:
+            std, self._shift = torch.std_mean(obs, dim=0, correction=0)
+            self._factor = 1 / std.clamp(min=_SMALLEST)
+
     def members(self, segments: Segments) -> Tensor:
-        return self._outputs(torch.cat([segments.obs, segments.act], dim=-1))
+        return self._outputs(torch.cat([self._seen(segments.obs), segments.act], dim=-1))
+
+    def _seen(self, obs: Tensor) -> Tensor:
+        """Observations as the networks are shown them, [..., O]."""
+        return (obs - self._shift) * self._factor if self._standard else obs
 
     def _outputs(self, inputs: Tensor) -> Tensor:
         """[N, B, T], for inputs [B, T, D] shared by the members, or [N, B, T, D] of their own."""
@@ -57,10 +72,13 @@ class EnsembleReward:
         return self._net.parameters()
 
     def state_dict(self) -> State:
-        return {"weights": self._net.flat.clone()}
+        seen = {"shift": self._shift.clone(), "scale": self._factor.clone()} if self._standard else {}
+        return {"weights": self._net.flat.clone(), **seen}
 
     def load_state_dict(self, state: State) -> None:
         self._net.flat.copy_(state["weights"])
+        if self._standard:
+            self._shift, self._factor = state["shift"].clone(), state["scale"].clone()
 
 
 class ResidualReward(EnsembleReward):
@@ -69,7 +87,7 @@ class ResidualReward(EnsembleReward):
     on_prior = True
 
     def members(self, segments: Segments) -> Tensor:
-        inputs = torch.cat([segments.obs, segments.act, segments.prior.unsqueeze(-1)], dim=-1)
+        inputs = torch.cat([self._seen(segments.obs), segments.act, segments.prior.unsqueeze(-1)], dim=-1)
         return segments.prior + self._outputs(inputs)
 
     def penalty(self, rewards: Tensor, segments: Segments) -> Tensor:

@@ -112,6 +112,8 @@ class PreferenceReward(RewardSource):
         """Fit the reward to the answers of the session asked for before this step, and relabel."""
         if self.journal.asked_at != step:
             return
+        if step == self._first:
+            self.learner.reward.begin(self._experience.obs[: self._experience.rows])
         pairs, preference = self.journal.apply(step)
         given = ~np.isnan(preference)
         self.preferences.add(pairs[given] - self.learner.needs.margin, preference[given])

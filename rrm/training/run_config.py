@@ -229,7 +229,7 @@ class RunConfig(JobConfig):
             changes["exploration"] = explore.model_copy(update={"seed_steps": self.random_steps})
         if self.from_demonstrations:
             changes["exploration"] = ExplorationConfig()
-            reward = _defaulted(reward, "members", "hidden", "layers")
+            reward = _defaulted(reward, "members", "hidden", "layers", "inputs")
         digests = {"learner_digest": source_digest(reward.learner)}
         if reward.prior is not None:
             digests["prior_digest"] = source_digest(reward.prior)

@@ -36,9 +36,9 @@ def test_the_defaults_are_the_papers():
 OTHER = {int: lambda v: v + 1, float: lambda v: v * 0.5 if v else 0.25, str: None, bool: None}
 #: Values that are not reached by arithmetic, or that need a partner to mean anything.
 SPECIAL = {
-    "agent": {"kind": None}, "evaluation": {"success": "last"}, "teacher": {"beta": 1.0},
+    "agent": {"kind": None, "critic_norm": "layer"}, "evaluation": {"success": "last"}, "teacher": {"beta": 1.0},
     "reward": {"learner": "true", "prior": "proxy", "normaliser": None, "surf": None, "mrn": None,
-               "bound": None, "penalty": None, "prior_run": None, "squash": None},
+               "bound": None, "penalty": None, "inputs": "standard", "prior_run": None, "squash": None},
     "feedback": {"sampler": "uniform", "schedule": "decay"}, "exploration": {"neighbours": None},
 }  # fmt: skip
 NOT_NUMBERS = {"options", "prior_digest", "learner_digest", "deterministic"}
