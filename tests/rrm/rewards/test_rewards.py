@@ -122,6 +122,24 @@ def test_the_residual_sees_the_prior():
     assert not torch.allclose(*residuals, atol=1e-3)
 
 
+@pytest.mark.parametrize("kind", [EnsembleReward, ResidualReward])
+def test_observations_are_shown_as_they_first_lay(kind):
+    """Standard inputs are less the mean and over the deviation of what was seen at first; what hardly moved is not
+    blown up, what comes later moves nothing, and a copy that is loaded sees the same.
+    """
+    standard, raw = (reward(kind, CONFIG.model_copy(update={"inputs": i})) for i in ("standard", "raw"))
+    first = torch.randn(500, 3) * torch.tensor([4.0, 1.0, 1e-4]) + torch.tensor([7.0, -2.0, 0.5])
+    standard.begin(first)
+    raw.begin(first)
+    segments = steps(4, 6, prior=0.3)
+    deviation = torch.cat([first.std(0, correction=0)[:2], torch.tensor([0.05])])
+    shown = segments._replace(obs=(segments.obs - first.mean(0)) / deviation)
+    torch.testing.assert_close(standard.members(segments), raw.members(shown))
+    copy = reward(kind, CONFIG.model_copy(update={"inputs": "standard"}), seed=1)
+    copy.load_state_dict(standard.state_dict())
+    torch.testing.assert_close(copy.members(segments), standard.members(segments), rtol=0, atol=0)
+
+
 def test_without_a_prior_the_column_is_not_looked_at():
     """A plain ensemble gives the same reward whatever the prior column holds."""
     model, segments = reward(EnsembleReward), steps(4, 6)

@@ -15,7 +15,7 @@ def tiny():
     """Makes a run of a few hundred steps: 50-step episodes, feedback every 150 steps from step 150 (200) on."""
 
     def make(learner="pebble", **fields):
-        names = ("prior", "normaliser", "bound", "surf", "mrn", "prior_run", "squash")
+        names = ("prior", "normaliser", "bound", "surf", "mrn", "prior_run", "squash", "inputs")
         known = {key: fields.pop(key) for key in names if key in fields}
         sampler = {"sampler": fields.pop("sampler")} if "sampler" in fields else {}
         reward = RewardConfig(learner=learner, hidden=16, layers=1, epochs=3, **known)

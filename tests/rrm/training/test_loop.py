@@ -86,6 +86,13 @@ def test_updates_can_be_spread(traced, tiny):
     assert when(log, "update") == [102, 105, 108, 111, 114, 117]
 
 
+def test_early_updates_are_two(traced, tiny):
+    """Before `early_steps` the agent is updated twice where it would be once."""
+    agent = tiny().agent.model_copy(update={"early_steps": 103})
+    _, log = traced(105, learner="true", agent=agent)
+    assert when(log, "update") == [101, 101, 102, 102, 103, 104]
+
+
 def test_the_oracle_is_trained_on_the_true_reward(traced):
     """The reward column is the true one for the oracle, and the prior for prior-only training."""
     trainer, _ = traced(60, learner="true")
