@@ -39,7 +39,7 @@ _MOST_ROWS = 5000
 #: Settings that say how long, how often and how much: the ones a profile shrinks in a manifest's numbers.
 AMOUNTS = (
     "steps",
-    "feedback.every", "feedback.batch", "feedback.budget", "feedback.segment",
+    "feedback.every", "feedback.batch", "feedback.budget", "feedback.segment", "feedback.window",
     "exploration.seed_steps", "exploration.unsupervised_steps",
     "evaluation.every",
     *(f"reward.{name}.{amount}" for name, section in RewardConfig.own().items() for amount in section.amounts),
