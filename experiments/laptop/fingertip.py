@@ -2,8 +2,10 @@
 
 import math
 
+from rrm.priors.step import PriorStep
 
-def fingertip(step):
+
+def fingertip(step: PriorStep) -> float:
     """-|object - goal| - |fingertip - object|, metres."""
     x, y, z = step.hand
     return -math.dist(step.object, step.goal) - math.dist((x, y, z - 0.045), step.object)
