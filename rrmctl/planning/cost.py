@@ -71,6 +71,8 @@ def tabled_seconds(config: Config, speed: float) -> float:
     label = labels = 0.0
     if feedback is not None and (sessions := config.sessions()):
         label = learner["label"] * (reward.layers - 1) * reward.hidden**2 / reference * feedback.segment / 50
-        labels = sessions * reward.epochs * min(feedback.batch * (sessions + 1) / 2, reward.capacity)
+        early = reward.target_accuracy < 1 and "target_accuracy" not in reward.settings.ignores
+        passes = min(reward.epochs, _COSTS["passes"]) if early else reward.epochs
+        labels = sessions * passes * min(feedback.batch * (sessions + 1) / 2, reward.capacity)
     products = (updates * update + labels * label) / speed
     return float(_COSTS["start"] + (config.steps + evaluated) * step + updates * learner["call"] + products) / 1000

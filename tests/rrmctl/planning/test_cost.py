@@ -59,6 +59,16 @@ def test_what_costs_more() -> None:
         assert tabled_seconds(oracle(**dearer), 1.0) > base
 
 
+def test_passes_that_are_allowed_and_not_needed_cost_nothing() -> None:
+    """A session ends once its labels are told right, long before many passes are over; without that end all count."""
+
+    def pebble(**reward: Any) -> float:
+        return tabled_seconds(oracle(reward={"learner": "pebble", **reward}), 1.0)
+
+    assert pebble(epochs=50) == pebble(epochs=500) > pebble(epochs=5)
+    assert pebble(epochs=50, target_accuracy=1.0) > pebble(epochs=50)
+
+
 @pytest.mark.parametrize(
     ("task", "learner", "sizes", "hours"),
     [
