@@ -14,7 +14,7 @@ LOGGED := >.venv/install.log 2>&1 || { cat .venv/install.log >&2; exit 1; }
 
 quickstart: install
 	$(BIN)/rrmctl run quickstart
-	$(BIN)/rrmctl report iqm quickstart
+	$(BIN)/rrmctl report final quickstart
 	$(BIN)/rrmctl plot quickstart
 
 test: install browser
