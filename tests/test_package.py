@@ -30,9 +30,9 @@ def call(folder: Path, *command: str | Path) -> str:
 
 def sources(folder: Path) -> set[str]:
     """What belongs to the packages and the experiments, by its place in the wheel."""
-    there = {path.relative_to(folder) for name in PACKAGES for path in (folder / name).rglob("*") if path.is_file()}
-    shipped = {f"rrmctl/experiments/{path.name}" for path in (folder / "experiments").iterdir()}
-    return {str(path) for path in there if "__pycache__" not in path.parts} | shipped
+    there = [path for name in (*PACKAGES, "experiments") for path in (folder / name).rglob("*") if path.is_file()]
+    places = (path.relative_to(folder) for path in there if "__pycache__" not in path.parts)
+    return {f"rrmctl/{path}" if path.parts[0] == "experiments" else str(path) for path in places}
 
 
 def versions(results: Path) -> set[str]:
