@@ -146,16 +146,17 @@ class Sac:
         self._explore = streams.torch("explore", device)
         self._lookahead = streams.torch("lookahead", device)
 
-        def stack(members: int, inputs: int, outputs: int, generator: torch.Generator | None) -> StackedMLP:
+        def stack(
+            members: int, inputs: int, outputs: int, generator: torch.Generator | None, norm: str = "none"
+        ) -> StackedMLP:
             shape = (members, inputs, config.hidden, config.layers, outputs)
-            normalised = members == 2 and config.critic_norm == "layer"
             return StackedMLP(
-                *shape, generator=generator, precision=precision, normalised=normalised, device=device
-            )  # fmt: skip
+                *shape, generator=generator, precision=precision, normalised=norm == "layer", device=device
+            )
 
         self.actor = stack(1, obs_dim, 2 * act_dim, self._init)
-        self.critic = stack(2, obs_dim + act_dim, 1, self._init)
-        self.target = stack(2, obs_dim + act_dim, 1, None)
+        self.critic = stack(2, obs_dim + act_dim, 1, self._init, config.critic_norm)
+        self.target = stack(2, obs_dim + act_dim, 1, None, config.critic_norm)
         self.target.flat.copy_(self.critic.flat)
         self.log_alpha = torch.full((1,), math.log(config.initial_alpha), device=device)
         self._log_alpha_grad = torch.zeros_like(self.log_alpha)

@@ -66,13 +66,14 @@ def tabled_seconds(config: Config, speed: float) -> float:
     learner = _COSTS["learner"].get(reward.learner, _COSTS["learner"]["default"])
     reference = 2 * 256**2
     update = learner["update"] * (agent.layers - 1) * agent.hidden**2 / reference * agent.batch / 512
-    updates = max(config.steps - config.random_steps, 0) / agent.update_every
+    early = max(min(agent.early_steps, config.steps) - config.random_steps, 0)  # where one update is two
+    updates = (max(config.steps - config.random_steps, 0) + early) / agent.update_every
     evaluated = math.ceil(config.steps / config.evaluation.every) * config.evaluation.episodes * config.episode_steps
     label = labels = 0.0
     if feedback is not None and (sessions := config.sessions()):
         label = learner["label"] * (reward.layers - 1) * reward.hidden**2 / reference * feedback.segment / 50
-        early = reward.target_accuracy < 1 and "target_accuracy" not in reward.settings.ignores
-        passes = min(reward.epochs, _COSTS["passes"]) if early else reward.epochs
+        may_end = reward.target_accuracy < 1 and "target_accuracy" not in reward.settings.ignores
+        passes = min(reward.epochs, _COSTS["passes"]) if may_end else reward.epochs
         labels = sessions * passes * min(feedback.batch * (sessions + 1) / 2, reward.capacity)
     products = (updates * update + labels * label) / speed
     return float(_COSTS["start"] + (config.steps + evaluated) * step + updates * learner["call"] + products) / 1000

@@ -54,7 +54,8 @@ def test_what_costs_more() -> None:
     surf = tabled_seconds(oracle(reward={"learner": "surf"}), 1.0)
     assert surf > pebble > base
     for dearer in (
-        {"agent": {"batch": 1024}}, {"agent": {"hidden": 512}}, {"evaluation": {"every": 1000}}, {"steps": 40_000},
+        {"agent": {"batch": 1024}}, {"agent": {"hidden": 512}}, {"agent": {"early_steps": 20_000}},
+        {"evaluation": {"every": 1000}}, {"steps": 40_000},
     ):  # fmt: skip
         assert tabled_seconds(oracle(**dearer), 1.0) > base
 
