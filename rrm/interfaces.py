@@ -41,6 +41,9 @@ class Agent(Stateful, Protocol):
 
     updates: int  #: finished so far
 
+    def at(self, step: int) -> None:
+        """Told of the environment's step that comes next, before it acts there or learns."""
+
     def act(self, obs: Obs, *, explore: bool) -> Floats:
         """Action float32 [A] for one observation: a sample when exploring, else the deterministic one."""
 

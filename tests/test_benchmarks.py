@@ -19,11 +19,11 @@ from rich.console import Console
 from benchmarks.__main__ import table
 from benchmarks.lines import Line, one_core
 from benchmarks.sac_update import best_products, peers
-from rrm.config import AgentConfig
+from rrm.config import SacConfig
 from rrm.hardware import cpu_model
 
 ROOT = Path(__file__).parents[1]
-TINY = AgentConfig(hidden=8, layers=1, batch=8)
+TINY = SacConfig(hidden=8, layers=1, batch=8)
 
 
 @pytest.mark.parametrize(

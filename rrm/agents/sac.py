@@ -24,8 +24,8 @@ from rrm.nets.mlp import Memory, Pass, StackedMLP
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from rrm.config import AgentConfig
-    from rrm.envs.tasks import Spaces
+    from rrm.config import SacConfig
+    from rrm.envs.spaces import Spaces
     from rrm.precision import Precision
     from rrm.seeding import Streams
     from rrm.types import Batch, Floats, Obs, State
@@ -130,7 +130,7 @@ class Sac:
 
     def __init__(
         self,
-        config: AgentConfig,
+        config: SacConfig,
         spaces: Spaces,
         streams: Streams,
         *,
@@ -174,6 +174,9 @@ class Sac:
         self._acts = _Sample(self._acting.outputs[0])
         self._space = _Workspace(self.actor, self.critic, self.target, config.batch)
         self._last: tuple[Any, ...] | None = None  # what the figures of the last update are made of
+
+    def at(self, step: int) -> None:
+        """Nothing of it depends on the step."""
 
     @torch.no_grad()
     def act(self, obs: Obs, *, explore: bool) -> Floats:

@@ -12,6 +12,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Literal
 
+from rrm.envs.spaces import Spaces
 from rrm.errors import ConfigError, UnknownNameError
 
 if TYPE_CHECKING:
@@ -25,25 +26,6 @@ ScoreKind = Literal["success", "return"]
 
 #: Where a feature stands in the observation, or how it follows from it.
 Feature = slice | Callable[["Floats"], Any]
-
-
-@dataclass(frozen=True)
-class FrameSpace:
-    """A camera's pictures, uint8 [height, width, channels], and how many of the newest an agent sees at once."""
-
-    height: int
-    width: int
-    channels: int = 3
-    stack: int = 3
-
-
-@dataclass(frozen=True)
-class Spaces:
-    """What an agent is told of a task before it is made."""
-
-    obs: int  #: length of the observation vector
-    act: int  #: length of the action vector; every action lies in [-1, 1]
-    frames: FrameSpace | None = None  #: None where the task has no camera
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -60,6 +42,8 @@ class Task:
     packages: tuple[str, ...] = ("gymnasium",)  #: distributions that its simulator is made of
     features: Mapping[str, Feature] = field(default_factory=dict)  #: what a prior may ask of an observation, by name
     outcomes: tuple[str, ...] = ()  #: physical quantities after a step, in its `info`, that a prior may read
+    views: tuple[str, ...] = ()  #: cameras there are, where it has any
+    expert: str | None = None  #: the task whose oracle shows how this one is done, where that is another
 
     @property
     def env_id(self) -> str:

@@ -76,8 +76,8 @@ class Adversarial(RewardSource):
         self._kept: State | None = None
 
     def log(self, loss: str, norm: float) -> None:
-        """Record a gradient step of the present environment step: every step is a transition."""
-        self.gradients.add(self._replay.transitions, loss, norm)
+        """Record a gradient step of the present environment step."""
+        self.gradients.add(self._replay.steps, loss, norm)
 
     def attend(self, step: int, agent: Agent) -> None:
         """A round of gradient steps of the discriminator against the policy as it is, where one is due."""

@@ -123,7 +123,7 @@ class PreferenceReward(RewardSource):
 
     def batch(self, agent: Agent) -> Batch:
         """Transitions; before some updates the learner wants the critic first, and the rewards are those after it."""
-        step, needs = self._replay.transitions, self.learner.needs  # every step is a transition
+        step, needs = self._replay.steps, self.learner.needs
         spent = self.queries >= self._config.budget and not needs.refine_when_spent
         if step <= self._first or step % needs.refine_every or spent:
             return self._replay.sample()

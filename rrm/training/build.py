@@ -63,17 +63,19 @@ def assemble(config: RunConfig, streams: Streams, results: Results) -> Parts:
     """
     kind, begin, switch = config.reward.kind, config.random_steps, config.first_session
     agent = build_agent(config, streams)
-    experience = Experience(config.steps, config.episode_steps, config.spec().spaces)
+    repeat = config.action_repeat
+    experience = Experience(config.steps // repeat, config.episode_steps // repeat, config.spaces, config.agent.window)
     prior = build_prior(config, streams, results)
-    replay = Replay(experience, config.agent.batch, streams.torch("replay"))
+    replay = Replay(experience, config.agent.batch, streams.torch("replay"), repeat)
 
     def preferences(learner: RewardLearner) -> PreferenceReward:
         assert config.feedback is not None  # the configuration has checked both
         assert config.teacher is not None
-        config.check_margin(learner.needs.margin)
+        config.check_margin(learner.needs.margin * repeat)
+        feedback = config.feedback.model_copy(update={"segment": config.feedback.segment // repeat})  # in transitions
         teacher = ScriptedTeacher(config.teacher, streams.numpy("teacher"), experience.true_rewards)
         return PreferenceReward(
-            config.feedback,
+            feedback,
             first=switch, steps=config.steps, capacity=config.reward.capacity, experience=experience, replay=replay,
             learner=learner, teacher=teacher, rng=streams.numpy("query"), unlabelled_rng=streams.numpy("unlabelled"),
         )  # fmt: skip
@@ -92,7 +94,7 @@ def assemble(config: RunConfig, streams: Streams, results: Results) -> Parts:
         if kind.learned:
             g = ImitatedReward(source.discriminator.g, source.scale)
             tuned = preferences(Finetune(g, config.reward, streams.numpy("reward"), source.log))
-            updates = int(switch % config.agent.update_every == 0)  # the agent learns on as it did
+            updates = config.agent.updates_at(switch // repeat)  # the agent learns on as it did
             phases.append(Phase(begin=switch, source=tuned, first_updates=updates))
     else:  # PEBBLE's: an unsupervised phase (none before a residual), and a fresh critic for the first reward
         learner_class = lookup(LEARNERS, "learner", config.reward.learner)
@@ -123,7 +125,7 @@ def _demonstrations(config: RunConfig, results: Results) -> Demonstrations:
 def build_agent(config: RunConfig, streams: Streams) -> Agent:
     """The agent, untrained."""
     agent: Agent = lookup(AGENTS, "agent", config.agent.kind)(
-        config.agent, config.spec().spaces, streams, precision=config.precision
+        config.agent, config.spaces, streams, precision=config.precision
     )
     return agent
 

@@ -66,8 +66,7 @@ def tabled_seconds(config: Config, speed: float) -> float:
     learner = _COSTS["learner"].get(reward.learner, _COSTS["learner"]["default"])
     reference = 2 * 256**2
     update = learner["update"] * (agent.layers - 1) * agent.hidden**2 / reference * agent.batch / 512
-    early = max(min(agent.early_steps, config.steps) - config.random_steps, 0)  # where one update is two
-    updates = (max(config.steps - config.random_steps, 0) + early) / agent.update_every
+    updates = agent.updates(config.random_steps // config.action_repeat, config.steps // config.action_repeat)
     evaluated = math.ceil(config.steps / config.evaluation.every) * config.evaluation.episodes * config.episode_steps
     label = labels = 0.0
     if feedback is not None and (sessions := config.sessions()):

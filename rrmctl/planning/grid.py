@@ -196,7 +196,7 @@ def _layer(manifest: Manifest, kind: str, name: str) -> Layer:
 @cache
 def _ratios(scale: str, task: str, kind: ProfileKind) -> dict[str, tuple[int, int]]:
     """For each amount (the profile's number, the paper's number); their quotient scales a manifest's."""
-    defaults = {name: fields()[name].default for name in AMOUNTS}
+    defaults = {name: fields()[name][0].default for name in AMOUNTS}
     defaults["steps"] = 1  # a task of which no profile knows the length is not scaled
     ours, paper = (defaults | merged(profile_layers(name, task, kind)) for name in (scale, PAPER))
     total = (ours["steps"], paper["steps"])

@@ -12,12 +12,12 @@ from hypothesis import strategies as st
 
 from rrm.checkpoint import decode, encode
 from rrm.config import (
-    AgentConfig,
     EvaluationConfig,
     ExplorationConfig,
     FeedbackConfig,
     ImitationConfig,
     RewardConfig,
+    SacConfig,
 )
 from rrm.envs import task
 from rrm.errors import ConfigError, DemosError, MissingResultError, PriorError
@@ -414,7 +414,7 @@ def test_settings_of_others_change_no_identity(tiny):
 @pytest.mark.sim
 def test_a_task_without_success_is_judged_by_its_return(recorder, tmp_path):
     """On DM-Control no demonstration can fail, and the best evaluation is the one of the highest return."""
-    small = {"agent": AgentConfig(hidden=16, layers=1, batch=16), "evaluation": EvaluationConfig(every=60, episodes=1)}
+    small = {"agent": SacConfig(hidden=16, layers=1, batch=16), "evaluation": EvaluationConfig(every=60, episodes=1)}
     common = {"task": "walker-walk", "seed": 0, "horizon": 20, "steps": 120, **small}
     expert = RunConfig(
         reward=RewardConfig(learner="true"), exploration=ExplorationConfig(seed_steps=40), **common

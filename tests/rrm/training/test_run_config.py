@@ -6,12 +6,12 @@ from hypothesis import strategies as st
 from pydantic import ValidationError
 
 from rrm.config import (
-    AgentConfig,
     ExplorationConfig,
     FeedbackConfig,
     ImitationConfig,
     MrnConfig,
     RewardConfig,
+    SacConfig,
     SurfConfig,
     TeacherConfig,
 )
@@ -200,7 +200,7 @@ def test_methods_are_named_as_in_the_tables(fields, method):
             "reward.surf.crop: 5 steps more or less; 4 at the most",
         ),
         (
-            {"agent": AgentConfig(update_every=3), "reward": RewardConfig(learner="mrn")},
+            {"agent": SacConfig(update_every=3), "reward": RewardConfig(learner="mrn")},
             "reward.mrn.every: 10000 is not a multiple of agent.update_every, 3",
         ),
     ],
