@@ -139,14 +139,19 @@ class DrqConfig(AgentConfig):
     last_stddev: Weight = 0.1  #: and at the end
     stddev_steps: Count = 500_000  #: environment steps from the one to the other, in a line
     stddev_clip: Positive = 0.3  #: of the noise in updates; "50" in the paper's table is its number of features
-    encoder: Literal["own", "imitation"] = (
-        "own"  #: at the start: fresh, or that of the run behind the prior `imitation`
-    )
+    encoder: Literal["fresh", "imitation"] | None = None  #: at the start; `imitation` is that of the run behind this
+    #: prior, and what None means on it
     encoder_run: str | None = None  #: identity of that run; filled in by planning
 
     @property
     def window(self) -> int:
         return self.n_step
+
+    def encoded(self, height: int, width: int) -> int:
+        """Numbers that the encoder makes of pictures of this size."""
+        for stride in self.strides:
+            height, width = ((side - 3) // stride + 1 for side in (height, width))
+        return self.channels * height * width
 
 
 class DrmConfig(DrqConfig):
@@ -257,6 +262,7 @@ class RewardConfig(ConfigSection):
     """The reward the agent is trained on, and how it is learned (section 3, appendix "Model structure")."""
 
     learner: str = "pebble"  #: a learner's name, `true`, `prior`, or `file.py:Class`
+    factor: Positive = 1.0  #: of the true reward, where the agent is trained on that; not in the paper
     prior: str | None = None  #: residual on this prior: a name, or `file.py:function`
     prior_digest: str | None = None  #: sha-256 of the user's file behind `prior`; filled in by planning
     learner_digest: str | None = None  #: likewise for `learner`
@@ -274,6 +280,7 @@ class RewardConfig(ConfigSection):
     #: over their deviation, at least 0.05, before the first training
     minibatch: Count = 128  #: labelled pairs per gradient step
     epochs: Count = 10  #: passes over all labels per session at the most
+    most_steps: Count | None = None  #: gradient steps per session at the most
     target_accuracy: Fraction = 0.97  #: stop after an epoch above it; 1 never stops early
     capacity: Count = 10_000  #: newest labels kept
     surf: SurfConfig = SurfConfig()  #: of the learner `surf`

@@ -15,11 +15,12 @@ if TYPE_CHECKING:
 
     from torch import Tensor
 
+    from rrm.nets.encoder import Encoder
     from rrm.types import Batch, Floats, Obs, Segments, State
 
 __all__ = [
     "Agent", "Answer", "CriticAgent", "Feedback", "Needs", "Query", "RewardFunction", "RewardLearner", "SegmentRef",
-    "Stateful", "StochasticAgent", "Teacher",
+    "Stateful", "StochasticAgent", "Teacher", "VisualAgent",
 ]  # fmt: skip
 
 
@@ -83,6 +84,15 @@ class StochasticAgent(Agent, Protocol):
 
     def log_prob(self, obs: Tensor, act: Tensor) -> Tensor:
         """Log density of any actions [B, A] at obs [B, O], without gradient: float32 [B], nats, finite."""
+
+
+class VisualAgent(Agent, Protocol):
+    """An agent that sees frames, by an encoder that a learned reward may borrow."""
+
+    encoder: Encoder
+
+    def log_prob(self, frames: Tensor, act: Tensor) -> Tensor:
+        """Of any actions [B, A] on seeing frames uint8 [B, stack, channels, height, width], float32 [B], nats."""
 
 
 class RewardFunction(Stateful, Protocol):

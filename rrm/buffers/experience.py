@@ -65,6 +65,7 @@ class Experience:
         self._saved_generations = deque([0], maxlen=KEPT)  # of the kept checkpoints
         self._logs: tuple[AppendLog, AppendLog] | None = None
         self.frames = None if spaces.frames is None else Frames(spaces.frames)
+        self.seen: Callable[[Tensor], Tensor] = self._observed  #: what a learned reward is shown of rows [..., T]
         self._row_of = torch.empty(steps, dtype=torch.int64)
         self.transitions = 0
         self.window = window
@@ -187,7 +188,10 @@ class Experience:
     def segments(self, starts: Tensor, length: int) -> Segments:
         """The `length` steps from each row of `starts` [...] on; every field starts with the axes [..., length]."""
         rows = starts.unsqueeze(-1) + torch.arange(length)
-        return Segments(self.obs[rows], self.act[rows], self.prior[rows])
+        return Segments(self.seen(rows), self.act[rows], self.prior[rows])
+
+    def _observed(self, rows: Tensor) -> Tensor:
+        return self.obs[rows]
 
     def true_rewards(self, starts: npt.NDArray[np.int64], length: int) -> Floats:
         """True reward of the same steps, float32 [..., length]. For teachers and evaluation alone."""
@@ -198,10 +202,11 @@ class Experience:
         return self.reward.numpy()[starts[..., None] + np.arange(length)]
 
     def relabel(self, predict: Callable[[Tensor, Tensor, Tensor], Tensor]) -> None:
-        """Rewrite the reward of every row by `predict(obs, act, prior)`, with the prior as it was stored."""
+        """Rewrite the reward of every row by `predict(seen, act, prior)`, with the prior as it was stored."""
         for begin in range(0, self.rows, _RELABEL_ROWS):
             part = slice(begin, min(begin + _RELABEL_ROWS, self.rows))
-            self.reward[part] = predict(self.obs[part], self.act[part], self.prior[part])
+            seen = self.seen(torch.arange(part.start, part.stop))
+            self.reward[part] = predict(seen, self.act[part], self.prior[part])
         self.generation += 1
 
     def save(self, folder: Path) -> State:

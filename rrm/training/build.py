@@ -6,17 +6,18 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
+from typing import cast
 
 from rrm.agents import AGENTS
 from rrm.buffers.experience import Experience
 from rrm.buffers.replay import Replay
 from rrm.checkpoint import again
-from rrm.config import IMITATION, PRIOR_ALONE
+from rrm.config import IMITATION, PRIOR_ALONE, DrqConfig
 from rrm.errors import DemosError, MissingResultError
 from rrm.imitation.demos import Demonstrations
 from rrm.imitation.discriminator import RewardNet
 from rrm.imitation.finetune import Finetune, ImitatedReward
-from rrm.interfaces import Agent, RewardFunction, RewardLearner
+from rrm.interfaces import Agent, RewardFunction, RewardLearner, VisualAgent
 from rrm.moments import RunningMoments
 from rrm.priors import load_prior
 from rrm.priors.imitation import ImitationPrior
@@ -25,6 +26,8 @@ from rrm.priors.values import PriorSource
 from rrm.registry import lookup
 from rrm.rewards import LEARNERS
 from rrm.rewards.ensemble import EnsembleReward, ResidualReward
+from rrm.rewards.sight import Sight
+from rrm.rewards.visual import VisualResidual, VisualReward
 from rrm.seeding import Streams
 from rrm.sources.adversarial import Adversarial
 from rrm.sources.base import Phase, RewardSource
@@ -73,16 +76,20 @@ def assemble(config: RunConfig, streams: Streams, results: Results) -> Parts:
         assert config.teacher is not None
         config.check_margin(learner.needs.margin * repeat)
         feedback = config.feedback.model_copy(update={"segment": config.feedback.segment // repeat})  # in transitions
+        sight = None
+        if config.sees_frames:
+            experience.seen = sight = Sight(experience, cast("VisualAgent", agent).encoder)
         teacher = ScriptedTeacher(config.teacher, streams.numpy("teacher"), experience.true_rewards)
         return PreferenceReward(
             feedback,
             first=switch, steps=config.steps, capacity=config.reward.capacity, experience=experience, replay=replay,
             learner=learner, teacher=teacher, rng=streams.numpy("query"), unlabelled_rng=streams.numpy("unlabelled"),
+            sight=sight,
         )  # fmt: skip
 
     source: RewardSource
     if kind.known:
-        source = Known(replay, "prior" if kind is PRIOR_ALONE else "true_reward")
+        source = Known(replay, "prior") if kind is PRIOR_ALONE else Known(replay, "true_reward", config.reward.factor)
         phases = [Phase(begin=begin, source=source)]
     elif kind.demonstrated:
         source = Adversarial(
@@ -99,12 +106,13 @@ def assemble(config: RunConfig, streams: Streams, results: Results) -> Parts:
     else:  # PEBBLE's: an unsupervised phase (none before a residual), and a fresh critic for the first reward
         learner_class = lookup(LEARNERS, "learner", config.reward.learner)
         source = preferences(learner_class(build_reward(config, streams), config.reward, streams.numpy("reward")))
-        entropy = StateEntropy(source, experience, replay, config.exploration.neighbours)
         first_updates = config.exploration.reset_updates
-        phases = [
-            Phase(begin=begin, source=entropy),
-            Phase(begin=switch, source=source, reset_critic=True, first_updates=first_updates),
-        ]
+        phases = [Phase(begin=switch, source=source, reset_critic=True, first_updates=first_updates)]
+        if switch > begin:
+            phases = [
+                Phase(begin=begin, source=StateEntropy(source, experience, replay, config.exploration.neighbours)),
+                *phases,
+            ]
     random = Phase(begin=0, source=source, random=True)
     return Parts(agent=agent, experience=experience, replay=replay, prior=prior, phases=(random, *phases))
 
@@ -134,10 +142,15 @@ def build_reward(config: RunConfig, streams: Streams) -> RewardFunction:
     """The learned reward, untrained: a residual on the prior where there is one, g alone where that is fine-tuned, else
     an ensemble alone.
     """
-    kind, spaces = ResidualReward if config.reward.prior is not None else EnsembleReward, config.spec().spaces
+    residual, spaces = config.reward.prior is not None, config.spaces
     if config.from_demonstrations:
         return ImitatedReward(RewardNet(config.imitation, spaces.obs, spaces.act, None), RunningMoments())
-    return kind(config.reward, spaces.obs, spaces.act, streams.torch("reward-init"), config.precision)
+    made = streams.torch("reward-init"), config.precision
+    if isinstance(config.agent, DrqConfig) and spaces.frames is not None:
+        seen = config.agent.encoded(spaces.frames.height, spaces.frames.width)
+        visual = VisualResidual if residual else VisualReward
+        return visual(config.reward, seen, spaces.act, *made, width=config.agent.features)
+    return (ResidualReward if residual else EnsembleReward)(config.reward, spaces.obs, spaces.act, *made)
 
 
 def build_prior(config: RunConfig, streams: Streams, results: Results) -> PriorSource | None:

@@ -12,7 +12,7 @@ from typing import Any, ClassVar, Literal, Self
 
 from pydantic import model_validator
 
-from rrm.config import Count, Fraction, NonNegative
+from rrm.config import CameraConfig, Count, Fraction, NonNegative
 from rrm.errors import ConfigError
 from rrm.precision import Precision
 from rrm.training.run_config import CONFIG_VERSION, JobConfig, RunConfig
@@ -26,12 +26,13 @@ class DemosConfig(JobConfig):
     seed: NonNegative = 0  #: of the instances that are played
     expert: RunConfig  #: the run whose policy plays
     episodes: Count = 50
+    camera: CameraConfig | None = None  #: where its pictures are part of them
     least_success: Fraction = 0.8  #: share of the episodes that must succeed, where the task has that notion
     precision: Precision = "float32"
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
-        if self.expert.task != self.task:
+        if self.expert.task != (self.spec().expert or self.task):
             raise ConfigError(f"expert.task: an expert of {self.expert.task} shows nothing of {self.task}")
         return self
 

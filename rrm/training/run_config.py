@@ -24,6 +24,7 @@ from rrm.config import (
     CameraConfig,
     ConfigSection,
     Count,
+    DrqConfig,
     EvaluationConfig,
     ExplorationConfig,
     FeedbackConfig,
@@ -187,6 +188,15 @@ class RunConfig(JobConfig):
         spaces = self.spec().spaces
         return replace(spaces, frames=self._frames(spaces.frames) if self.sees_frames else None)
 
+    @property
+    def borrows_encoder(self) -> bool:
+        """Whether the agent begins with the encoder of the run behind the prior `imitation`."""
+        return isinstance(self.agent, DrqConfig) and (self.agent.encoder or self._usual_encoder) == "imitation"
+
+    @property
+    def _usual_encoder(self) -> str:
+        return "imitation" if self.reward.prior == IMITATION else "fresh"
+
     def _frames(self, own: FrameSpace | None) -> FrameSpace | None:
         camera = self.camera
         if own is None:
@@ -274,13 +284,13 @@ class RunConfig(JobConfig):
         if reward.prior != IMITATION:
             reward = _defaulted(reward, "prior_run", "squash")
         if not reward.kind.learned:
-            keep = ("learner", "prior", "normaliser", "prior_run", "squash")
-            kept = {name: getattr(reward, name) for name in (keep if reward.kind is PRIOR_ALONE else keep[:1])}
+            keep = {PRIOR_ALONE: ("prior", "normaliser", "prior_run", "squash"), KNOWN: ("factor",)}
+            kept = {name: getattr(reward, name) for name in ("learner", *keep.get(reward.kind, ()))}
             reward = RewardConfig(**kept)
             changes |= {"feedback": None, "teacher": None}
             changes["exploration"] = ExplorationConfig(seed_steps=explore.seed_steps)
         else:
-            reward = _defaulted(reward, *_idle(reward))
+            reward = _defaulted(reward, "factor", *_idle(reward))
             if self.feedback is not None and self.feedback.sampler == "uniform":
                 changes["feedback"] = _defaulted(self.feedback, "pool")
             if not explore.unsupervised_steps:
@@ -296,6 +306,8 @@ class RunConfig(JobConfig):
         if self.horizon == TASKS[self.task].horizon:
             changes["horizon"] = None
         changes["camera"] = self._canonical_camera()
+        if isinstance(self.agent, DrqConfig) and self.agent.encoder == self._usual_encoder:
+            changes["agent"] = _defaulted(self.agent, "encoder")
         return self.model_copy(update=changes)
 
     def _canonical_camera(self) -> CameraConfig:

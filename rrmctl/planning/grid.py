@@ -43,6 +43,7 @@ AMOUNTS = (
     "exploration.seed_steps", "exploration.unsupervised_steps",
     "evaluation.every",
     *(f"reward.{name}.{amount}" for name, section in RewardConfig.own().items() for amount in section.amounts),
+    "agent.stddev_steps", "agent.perturb_every",
     "imitation.steps", "imitation.seed_steps", "imitation.every", "imitation.window", "imitation.switch",
 )  # fmt: skip
 
@@ -144,6 +145,8 @@ def configure(manifest: Manifest, row: GridRow, method: Method, scale: str, over
     decided = {"task": row.task, "seed": 0, "profile": scale, "reward.learner": method.learner}
     if method.prior is not None:
         decided["reward.prior"] = method.prior.replace(TASK, row.task)
+    if method.agent is not None:
+        decided["agent.kind"] = method.agent
     ratios = _ratios(scale, row.task, method.kind)
     at_paper_scale = (
         Layer.read(f"{manifest.path} [defaults]", manifest.defaults),

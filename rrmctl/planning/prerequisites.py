@@ -35,7 +35,7 @@ def supply(config: RunConfig, scale: str, folder: Path) -> tuple[RunConfig, tupl
         UserError: the profile's settings for a run of the chain cannot be run together.
         RrmError: `imitation.demos` cannot be read.
     """
-    if config.reward.prior != IMITATION and not config.from_demonstrations:
+    if config.reward.prior != IMITATION and not (config.from_demonstrations or config.borrows_encoder):
         return config, ()
     imitation = config.imitation
     needed: tuple[Config, ...] = ()
@@ -43,18 +43,24 @@ def supply(config: RunConfig, scale: str, folder: Path) -> tuple[RunConfig, tupl
         path = os.path.realpath(folder / place(imitation.demos))
         imitation = imitation.model_copy(update={"demos": path})
     else:
-        expert = _resolved(config.task, scale, "true")
+        repeat = {"action_repeat": config.action_repeat} if config.action_repeat > 1 else {}
+        expert = _resolved(config.spec().expert or config.task, scale, "true", **repeat)
         demos = DemosConfig(
             profile=scale, task=config.task, expert=expert,
             episodes=imitation.episodes, least_success=imitation.expert_success,
+            camera=config.canonical().camera if config.sees_frames else None,
         )  # fmt: skip
         imitation, needed = imitation.model_copy(update={"demos_run": demos.identity}), (expert, demos)
     if config.from_demonstrations:
         return config.model_copy(update={"imitation": imitation}), needed
     section = {f"imitation.{name}": value for name, value in imitation}
     prior = _resolved(config.task, scale, AIRL, steps=imitation.steps, **section)
-    reward = config.reward.model_copy(update={"prior_run": prior.identity})
-    return config.model_copy(update={"reward": reward}), (*needed, prior)
+    changes: dict[str, object] = {}
+    if config.reward.prior == IMITATION:
+        changes["reward"] = config.reward.model_copy(update={"prior_run": prior.identity})
+    if config.borrows_encoder:
+        changes["agent"] = config.agent.model_copy(update={"encoder_run": prior.identity})
+    return config.model_copy(update=changes), (*needed, prior)
 
 
 def _resolved(task: str, scale: str, learner: str, **decided: object) -> RunConfig:

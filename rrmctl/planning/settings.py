@@ -38,6 +38,7 @@ _DECIDED = {
     "reward.learner_digest": "planning, from the file's content",
     "reward.prior_digest": "planning, from the file's content",
     "reward.prior_run": "planning, from the settings in imitation",
+    "agent.encoder_run": "planning, from the settings in imitation",
     "imitation.demos_digest": "planning, from the file's content",
     "imitation.demos_run": "planning, from the settings in imitation",
 }
@@ -170,12 +171,21 @@ def resolve(layers: Sequence[Layer], cell: str, **decided: Any) -> RunConfig:
     except ValidationError as error:
         mistake = error.errors(include_url=False)[0]
     reason = mistake.get("ctx", {}).get("error")
-    message = str(reason) if isinstance(reason, RrmError) else f"{'.'.join(map(str, mistake['loc']))}: {mistake['msg']}"
+    message = str(reason) if isinstance(reason, RrmError) else _located(mistake["loc"], mistake["msg"])
     name = message.partition(":")[0]
     hint = None
     if (source := origin.get(name)) is not None:
         hint = f"{name} = {source.written.get(name, repr(values[name]))} is set in {source.where}"
     raise UserError(f"{cell}: {message}", hint)
+
+
+def _located(place: Sequence[int | str], reason: str) -> str:
+    """What is wrong with which setting. Pydantic names the kind of a section that has several, between it and those."""
+    name = ".".join(map(str, place))
+    if name in fields():
+        return f"{name}: {reason}"
+    section, kind, *rest = map(str, place)
+    return f"{section}.{'.'.join(rest)}: {reason}; the {section} is {kind}"
 
 
 def parse_assignments(assignments: Iterable[str]) -> dict[str, Any]:
