@@ -1,7 +1,7 @@
 """What a learned reward sees of frames: features, by a copy of the agent's encoder that stands still between sessions.
 
 The agent's own moves with every update, and what a reward says would drift with it; the appendix' algorithm 2 relabels
-once a session. During a session what every row shows is looked at once and remembered, where there is room for it.
+once a session. What rows show is looked at once and remembered, where there is room for it.
 """
 
 from __future__ import annotations
@@ -16,21 +16,29 @@ if TYPE_CHECKING:
     from rrm.nets.encoder import Encoder
     from rrm.types import Pixels, State
 
-_AT_ONCE = 256  # observations
+_AT_ONCE = 256  # observations; libraries may round otherwise for another number
 _LARGEST = 1 << 29  # bytes of remembered features
 
 
 class Sight:
-    """The features of rows of an experience."""
+    """The features of rows of an experience.
+
+    Remembered are the rows up to the present session in one go, and those since then in another: the same looks in the
+    same numbers, and so the same bits, whether or not a run was interrupted.
+    """
 
     def __init__(self, experience: Experience, encoder: Encoder) -> None:
         self._experience = experience
         self._encoder = encoder.frozen()
-        self._remembered: Tensor | None = None
+        self._session_rows = 0  # when the encoder was taken
+        self._remembered = torch.empty(0, encoder.outputs, dtype=torch.float16)
 
     def __call__(self, rows: Tensor) -> Tensor:
         """Features float32 [..., T, R] of rows [..., T], which follow each other along the last axis."""
-        if self._remembered is not None:
+        experience = self._experience
+        if experience.rows * self._encoder.outputs * 2 <= _LARGEST:
+            self._remember(min(self._session_rows, experience.rows))
+            self._remember(experience.rows)
             return self._remembered[rows].float()
         runs = rows.reshape(-1, rows.shape[-1])
         seen = torch.stack([self._looked(int(run[0]), int(run[-1]) + 1) for run in runs])
@@ -40,29 +48,25 @@ class Sight:
         """Features [1, R] of what was seen at one step, [stack, channels, height, width]."""
         return self._encoder.encode(torch.from_numpy(frames)[None])
 
-    def begin_session(self, encoder: Encoder) -> None:
+    def renew(self, encoder: Encoder) -> None:
         """See with this encoder as it is now."""
         self._encoder = encoder.frozen()
-        rows, width = self._experience.rows, encoder.outputs
-        if rows * width * 2 <= _LARGEST:
-            self._remembered = torch.empty(rows, width, dtype=torch.float16)
-            for begin in range(0, rows, _AT_ONCE):
-                end = min(begin + _AT_ONCE, rows)
-                self._remembered[begin:end] = self._looked(begin, end)
+        self._session_rows = self._experience.rows
+        self._remembered = self._remembered[:0]
 
-    def end_session(self) -> None:
-        """Forget what rows show."""
-        self._remembered = None
+    def _remember(self, rows: int) -> None:
+        known = len(self._remembered)
+        if rows > known:
+            self._remembered = torch.cat((self._remembered, self._looked(known, rows).half()))
 
     def _looked(self, begin: int, end: int) -> Tensor:
-        parts = [
-            self._encoder.encode(self._experience.stacks(first, min(first + _AT_ONCE, end)))
-            for first in range(begin, end, _AT_ONCE)
-        ]
-        return torch.cat(parts)
+        looks = (self._experience.stacks(b, min(b + _AT_ONCE, end)) for b in range(begin, end, _AT_ONCE))
+        return torch.cat([self._encoder.encode(stacks) for stacks in looks])
 
     def state_dict(self) -> State:
-        return {"encoder": self._encoder.flat.clone()}
+        return {"encoder": self._encoder.flat.clone(), "session_rows": self._session_rows}
 
     def load_state_dict(self, state: State) -> None:
         self._encoder.flat.copy_(state["encoder"])
+        self._session_rows = int(state["session_rows"])
+        self._remembered = self._remembered[:0]

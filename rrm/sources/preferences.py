@@ -126,11 +126,9 @@ class PreferenceReward(RewardSource):
         if not len(self.preferences):
             return
         if self._sight is not None:
-            self._sight.begin_session(cast("VisualAgent", agent).encoder)
+            self._sight.renew(cast("VisualAgent", agent).encoder)
         self._label_accuracy = self.learner.fit(self.feedback)["label_accuracy"]
         self.relabel()
-        if self._sight is not None:
-            self._sight.end_session()
 
     def batch(self, agent: Agent) -> Batch:
         """Transitions; before some updates the learner wants the critic first, and the rewards are those after it."""

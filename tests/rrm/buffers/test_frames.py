@@ -42,7 +42,7 @@ lengths = st.lists(st.integers(1, 9), min_size=1, max_size=5)
 
 @given(lengths, st.integers(1, 4), st.integers(1, 4), st.integers(0, 6))
 def test_a_window_is_of_one_episode_and_begins_with_the_stack_of_its_first_step(episodes, stack, window, unfinished):
-    """All windows of consecutive steps can be drawn, and no others; an episode's first picture stands for those before."""
+    """All windows of consecutive steps can be drawn, no others; an episode's first picture stands for those before."""
     experience = filmed(episodes, stack=stack, window=window, unfinished=unfinished)
     possible = [
         (episode, begin)
