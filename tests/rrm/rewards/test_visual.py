@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 import torch
+from rrm.nets.encoder import Encoder
 
 from rrm.buffers.experience import Experience
 from rrm.config import DrqConfig, RewardConfig
 from rrm.envs import FrameSpace, Spaces
-from rrm.nets.encoder import Encoder
 from rrm.rewards.sight import Sight
 from rrm.rewards.visual import VisualResidual, VisualReward
 from rrm.types import Segments, Transition
@@ -72,7 +72,7 @@ def test_members_with_and_without_gradient(kind):
 
 
 def test_the_residual_is_bounded_and_sees_the_prior():
-    """r = r0 + tanh(f(features, a, r0)); without a prior nothing of r0 is looked at."""
+    """R = r0 + tanh(f(features, a, r0)); without a prior nothing of r0 is looked at."""
     shared = segments(5, 4)
     moved = shared._replace(prior=shared.prior + 3)
     with torch.no_grad():
