@@ -32,10 +32,10 @@ def filmed(steps=40, horizon=10):
     experience = Experience(steps, horizon, Spaces(3, 2, SPACE), 3)
     pictures = rng.integers(0, 256, (steps + 1, 3, 16, 16), np.uint8)
     for step in range(steps):
-        newest = pictures[max(step - 1, 0)], pictures[step], pictures[step + 1]
+        newest, over = (pictures[max(step - 1, 0)], pictures[step], pictures[step + 1]), step % horizon == horizon - 1
         transition = Transition(
             rng.normal(size=3).astype(np.float32), rng.uniform(-1, 1, 2).astype(np.float32),
-            rng.normal(size=3).astype(np.float32), rng.normal(), 0.0, rng.normal(), False, step % horizon == horizon - 1,
+            rng.normal(size=3).astype(np.float32), rng.normal(), 0.0, rng.normal(), False, over,
             np.stack(newest[:2]), np.stack(newest[1:]),
         )  # fmt: skip
         experience.append(transition, 0.0)
