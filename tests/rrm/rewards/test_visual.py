@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 import torch
-from rrm.nets.encoder import Encoder
 
 from rrm.buffers.experience import Experience
 from rrm.config import DrqConfig, RewardConfig
 from rrm.envs import FrameSpace, Spaces
+from rrm.nets.encoder import Encoder
 from rrm.rewards.sight import Sight
 from rrm.rewards.visual import VisualResidual, VisualReward
 from rrm.types import Segments, Transition
