@@ -118,6 +118,7 @@ def test_one_update() -> None:
     """Losses and gradients are those of the published equations in double precision, with the same noise and moves."""
     streams = Streams(1)
     agent = with_biases(Drq(SMALL, SPACES, streams))
+    agent.actor.parameters()[-1].data.add_(1.0)  # noise leads beyond the bounds, where actions have a gradient still
     follow(agent, ReferenceDrq(agent, torch.float64), streams, 1)
 
 
