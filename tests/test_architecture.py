@@ -52,8 +52,8 @@ FLOORS = {
         "priors": 5, "sources": 5,
         "imitation": 4, "teachers": 4, "queries": 4,
         "agents": 3, "rewards": 3,
-        "buffers": 2,
-        "envs": 1, "nets": 1, "losses": 1,
+        "buffers": 2, "nets": 2,
+        "envs": 1, "losses": 1,
     },
     "rrmctl": {
         "__main__": 6,

@@ -57,6 +57,12 @@ def _narrow_at(_context: Any, _address: Any) -> Any:
     return types.CPointer(types.uint16)(types.int64), _to_pointer
 
 
+@intrinsic  # type: ignore[untyped-decorator]
+def _bytes_at(_context: Any, _address: Any) -> Any:
+    """A pointer to bytes of an address."""
+    return types.CPointer(types.uint8)(types.int64), _to_pointer
+
+
 def _to_pointer(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
     return builder.inttoptr(arguments[0], context.get_value_type(signature.return_type))
 
@@ -355,6 +361,24 @@ def _adam(p: Any) -> None:
         mean[0, i] += np.float32(0.1) * (g - mean[0, i])
         square[0, i] = np.float32(0.999) * square[0, i] + np.float32(0.001) * g * g
         param[0, i] -= size * mean[0, i] / (np.sqrt(square[0, i]) * root + np.float32(1e-8))
+
+
+@_compiled
+def move(address: Any, apart: Any, moves: Any, out: Any) -> None:
+    """Pictures uint8 at an address, so many bytes apart, go to `out` [B, P, H, W] as x - 128; see `rrm.nets.shift`."""
+    count, planes, height, width = out.shape
+    for b in range(count):
+        source, down, right = carray(_bytes_at(address + b * apart), planes * height * width), moves[b, 0], moves[b, 1]
+        left, stop = min(max(0, -right), width), max(0, min(width, width - right))
+        for p in range(planes):
+            for y in range(height):
+                row = (p * height + min(max(y + down, 0), height - 1)) * width
+                for x in range(left):
+                    out[b, p, y, x] = source[row] ^ 128
+                for x in range(left, stop):
+                    out[b, p, y, x] = source[row + right + x] ^ 128
+                for x in range(stop, width):
+                    out[b, p, y, x] = source[row + width - 1] ^ 128
 
 
 @_compiled
