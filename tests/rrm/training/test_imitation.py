@@ -324,7 +324,6 @@ def test_the_window_leaves_older_transitions_out(imitating, results):
     last = {tuple(row.tolist()) for row in experience.obs[experience.since(150)]}
     drawn = replay.draw(400, torch.Generator().manual_seed(0), newest=50)
     assert {tuple(row.tolist()) for row in drawn.obs} == last
-    assert len(replay.newest(50).obs) == 50
     trainer.close()
 
 
