@@ -364,21 +364,29 @@ def _adam(p: Any) -> None:
 
 
 @_compiled
-def move(address: Any, apart: Any, moves: Any, out: Any) -> None:
-    """Pictures uint8 at an address, so many bytes apart, go to `out` [B, P, H, W] as x - 128; see `rrm.nets.shift`."""
-    count, planes, height, width = out.shape
-    for b in range(count):
-        source, down, right = carray(_bytes_at(address + b * apart), planes * height * width), moves[b, 0], moves[b, 1]
+def _bytes(address: Any, count: Any) -> Any:
+    return carray(_bytes_at(address), count)
+
+
+@_compiled
+def move(address: Any, apart: Any, moves: Any, out: Any, planes: Any, height: Any, width: Any) -> None:
+    """Pictures [planes, height, width] of bytes, so many bytes apart, go to `out` as x - 128; see `rrm.nets.shift`."""
+    for b in range(len(moves)):
+        picture, down, right = address + b * apart, moves[b, 0], moves[b, 1]
         left, stop = min(max(0, -right), width), max(0, min(width, width - right))
+        middle = max(0, stop - left)
         for p in range(planes):
             for y in range(height):
-                row = (p * height + min(max(y + down, 0), height - 1)) * width
+                start = picture + (p * height + min(max(y + down, 0), height - 1)) * width
+                row, target = _bytes(start, width), _bytes(out, width)
+                source, within = _bytes(start + right + left, middle), _bytes(out + left, middle)
+                for x in range(middle):
+                    within[x] = source[x] ^ 128
                 for x in range(left):
-                    out[b, p, y, x] = source[row] ^ 128
-                for x in range(left, stop):
-                    out[b, p, y, x] = source[row + right + x] ^ 128
+                    target[x] = row[0] ^ 128
                 for x in range(stop, width):
-                    out[b, p, y, x] = source[row + width - 1] ^ 128
+                    target[x] = row[width - 1] ^ 128
+                out += width
 
 
 @_compiled

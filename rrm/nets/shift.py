@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import cv2
 import numpy as np
+import numpy.typing as npt
 import torch
 from torch import Tensor
 
 from rrm.nets.compiled import move
 
-if TYPE_CHECKING:
-    import numpy.typing as npt
+Moves = npt.NDArray[np.int64]
 
 
-def pictures(frames: Tensor, moves: npt.NDArray[np.int64] | None = None) -> Tensor:
+def pictures(frames: Tensor, moves: Moves | None = None) -> Tensor:
     """Each stack as one picture, x - 128 as int8 [B, stack x channels, height, width], channels last in memory.
 
     Args:
@@ -29,7 +27,7 @@ def pictures(frames: Tensor, moves: npt.NDArray[np.int64] | None = None) -> Tens
     if moves is None:
         moves = np.zeros((count, 2), np.int64)
     moved = np.empty((count, planes, height, width), np.uint8)
-    move(frames.data_ptr(), frames.stride(0), moves, moved)
+    move(frames.data_ptr(), frames.stride(0), moves, moved.ctypes.data, planes, height, width)
     together = np.empty((count, height * width, planes), np.uint8)
     for target, source in zip(together, moved.reshape(count, planes, -1), strict=True):
         target[...] = cv2.transpose(source)
