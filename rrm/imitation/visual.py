@@ -6,7 +6,6 @@ stays with g, and is lent to agents (paper, "Imitation rewards" and "Fairness of
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Self, cast
 
@@ -17,15 +16,13 @@ from torch.nn.functional import binary_cross_entropy_with_logits, layer_norm
 from rrm.config import DrqConfig, ImitationConfig
 from rrm.envs.spaces import FrameSpace
 from rrm.imitation.discriminator import Discriminator
-from rrm.nets.encoder import Encoder
+from rrm.nets.encoder import Encoder, Pass
 from rrm.nets.mlp import StackedMLP
 from rrm.precision import Precision
 from rrm.types import Batch, State
 
 if TYPE_CHECKING:
     from rrm.interfaces import Agent, VisualAgent
-
-_WINDOWS = 64  #: that go through the encoder together
 
 
 class Eye:
@@ -51,9 +48,13 @@ class Eye:
         self.outputs = agent.features + known.stop - known.start
 
     def __call__(self, stacks: Tensor, obs: Tensor) -> Tensor:
-        """Float32 [B, outputs] of uint8 [B, stack, channels, height, width] and obs [B, O]; differentiable."""
-        features = self.encoder.plain if torch.is_grad_enabled() else self.encoder.encode
-        projected = _through(self.projection, features(stacks)).t()
+        """Float32 [B, outputs] of uint8 [B, stack, channels, height, width] and obs [B, O], without gradient."""
+        with torch.no_grad():
+            return self.shown(self.encoder.encode(stacks), obs)
+
+    def shown(self, features: Tensor, obs: Tensor) -> Tensor:
+        """The same of features [B, R], differentiable in them."""
+        projected = _through(self.projection, features).t()
         return torch.cat((torch.tanh(layer_norm(projected, projected.shape[1:])), obs[:, self.known]), dim=1)
 
     def described(self) -> State:
@@ -90,47 +91,60 @@ class VisualDiscriminator(Discriminator):
         super().__init__(config, eye.outputs, act_dim, discount, generator=generator, precision=precision)
         self.eye = eye
         self._add(encoder=eye.encoder, projection=eye.projection)
-        for net in (self.g.net, self.h, eye.projection):  # as the encoder's: autograd adds to them
+        self._pass = Pass(eye.encoder, 4 * config.minibatch)
+        self._autograd = (self.g.net, self.h, eye.projection)
+        for net in self._autograd:
             for leaf, grad in zip(net.parameters(), net.grads, strict=True):
                 leaf.grad = grad
 
     def density(self, agent: Agent, batch: Batch) -> Tensor:
-        seen = _frames(batch)[:, : self.eye.frames.stack]
-        return cast("VisualAgent", agent).log_prob(seen, batch.act)
+        assert batch.frames is not None  # as everywhere here: the run's agent sees them
+        return cast("VisualAgent", agent).log_prob(batch.frames[:, : self.eye.frames.stack], batch.act)
 
     @torch.no_grad()
     def f(self, batch: Batch) -> Tensor:
-        told = ((part, *self._told(part)) for part in _windows(batch))
-        return torch.cat([g + self._shaping(part, h) for part, g, h in told]).view(batch.reward.shape)
+        stacks, windows = self._states(batch)
+        g, h = self._told(self.eye.encoder.encode(stacks), windows)
+        return (g + self._shaping(windows, h)).view(batch.reward.shape)
 
     @torch.no_grad()
     def reward(self, batch: Batch) -> Tensor:
-        return torch.cat([self._told(part)[0] for part in _windows(batch)]).view(batch.reward.shape)
+        stacks, windows = self._states(batch)
+        return self._told(self.eye.encoder.encode(stacks), windows)[0].view(batch.reward.shape)
 
     def step(self, both: Batch, log_prob: Tensor) -> float:
-        count = len(both.act)
-        is_expert = torch.zeros(count, 1).index_fill_(0, torch.arange(count // 2), 1.0)
-        for net in self.nets.values():
+        stacks, windows = self._states(both)
+        features = self._pass.forward(stacks).detach().float().requires_grad_()
+        for net in self._autograd:
             net.flat_grad.zero_()
-        total = torch.zeros(())
-        targets = zip(*(torch.split(column, _WINDOWS) for column in (is_expert, log_prob[:, None])), strict=True)
-        for part, (target, density) in zip(_windows(both), targets, strict=True):
-            g, h = self._told(part)
-            if self.config.pretrain == "airl":
-                logit = g + self._shaping(part, h) - density
-                loss = binary_cross_entropy_with_logits(logit, target, reduction="sum") / count
-            else:
-                loss = (g - target).square().sum() / count
-            loss.backward()  # type: ignore[no-untyped-call]
-            total += loss.detach()
-        self._descend(total, self.nets)
+        is_expert = torch.zeros(len(log_prob)).index_fill_(0, torch.arange(len(log_prob) // 2), 1.0)
+        g, h = self._told(features, windows)
+        if self.config.pretrain == "airl":
+            logit = (g + self._shaping(windows, h))[:, 0] - log_prob
+            loss = binary_cross_entropy_with_logits(logit, is_expert)
+        else:
+            loss = (g[:, 0] - is_expert).square().mean()
+        loss.backward()  # type: ignore[no-untyped-call]
+        assert features.grad is not None
+        self._pass.backward(features.grad.to(self.eye.encoder.dtype))
+        self._descend(loss.detach(), self.nets)
         return float(self.g.net.flat_grad.norm())
 
-    def _told(self, windows: Batch) -> tuple[Tensor, Tensor]:
-        """What g says of every step of windows, [B, T], and h of every state, [B, T + 1]."""
-        stacks = _frames(windows).unfold(1, self.eye.frames.stack, 1).movedim(-1, 2)
+    def _states(self, batch: Batch) -> tuple[Tensor, Batch]:
+        """What is seen at every state of a batch, a window's one behind the other; and the batch as windows [B, T]:
+        transitions are windows of one step.
+        """
+        assert batch.frames is not None
+        stacks = batch.frames.unfold(1, self.eye.frames.stack, 1).movedim(-1, 2).flatten(0, 1)
+        if batch.act.ndim == 2:
+            columns = {name: column.unsqueeze(1) for name, column in batch._asdict().items() if name != "frames"}
+            batch = batch._replace(**columns)
+        return stacks, batch
+
+    def _told(self, features: Tensor, windows: Batch) -> tuple[Tensor, Tensor]:
+        """What g says of every step of windows, [B, T], and h of every state, [B, T + 1], by the states' features."""
         obs = torch.cat((windows.obs, windows.next_obs[:, -1:]), dim=1)
-        states = self.eye(stacks.flatten(0, 1), obs.flatten(0, 1)).view(*obs.shape[:2], -1)
+        states = self.eye.shown(features, obs.flatten(0, 1)).view(*obs.shape[:2], -1)
         steps = torch.cat((states[:, :-1], windows.act), dim=-1)
         g, h = (_through(net, x.flatten(0, 1)).view(x.shape[:2]) for net, x in ((self.g.net, steps), (self.h, states)))
         return self.g.headed(g), h
@@ -145,17 +159,3 @@ class VisualDiscriminator(Discriminator):
 def _through(net: StackedMLP, x: Tensor) -> Tensor:
     """What a stack of one network says, [out, B], differentiable also in x [B, in]."""
     return (net.plain if torch.is_grad_enabled() else net)(x)[0]
-
-
-def _windows(batch: Batch) -> Iterator[Batch]:
-    """Windows [B, T] of few at a time; transitions are windows of one step."""
-    if batch.act.ndim == 2:
-        columns = {name: column.unsqueeze(1) for name, column in batch._asdict().items() if name != "frames"}
-        batch = batch._replace(**columns)
-    for rows in torch.split(torch.arange(len(batch.act)), _WINDOWS):
-        yield Batch(*(column[rows] for column in batch if column is not None))
-
-
-def _frames(batch: Batch) -> Tensor:
-    assert batch.frames is not None  # the run's agent sees frames
-    return batch.frames
