@@ -114,6 +114,8 @@ class VisualDiscriminator(Discriminator):
 
     def step(self, both: Batch, log_prob: Tensor) -> float:
         stacks, windows = self._states(both)
+        if len(self._pass.features) != len(stacks):
+            self._pass = Pass(self.eye.encoder, len(stacks))
         features = self._pass.forward(stacks).detach().float().requires_grad_()
         for net in self._autograd:
             net.flat_grad.zero_()
