@@ -1,6 +1,7 @@
 """The one place that says what each task is and what the named features of its observations are.
 
-A feature is a position in metres (`hand`, `object`, `goal`), the uprightness of the torso (`upright`, the z component
+A feature is a position in metres (`hand`, `object`, `goal`; `object_start`, where the object was when the episode
+began), the uprightness of the torso (`upright`, the z component
 of its z axis, in [-1, 1]) or a distance (`clearance`, metres to the nearest obstacle's edge); a task may have others.
 Priors ask for features by name: nobody else indexes an observation.
 """
@@ -9,10 +10,10 @@ from __future__ import annotations
 
 import importlib
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Literal
 
-from rrm.envs.spaces import Spaces
+from rrm.envs.spaces import FrameSpace, Spaces
 from rrm.errors import ConfigError, UnknownNameError
 
 if TYPE_CHECKING:
@@ -33,7 +34,7 @@ class Task:
     """What planning, priors and reports need to know of a task without starting its simulator."""
 
     name: str  #: as on the command line
-    suite: str  #: "metaworld", "dmc" or "toy"
+    suite: str  #: "metaworld", "dmc" or "toy", and "-image" behind it where a camera shows what the state does not
     score: ScoreKind  #: what the paper reports for it: success rate, or true return
     horizon: int  #: steps of an episode
     spaces: Spaces
@@ -49,6 +50,11 @@ class Task:
     def env_id(self) -> str:
         """The gymnasium id under which the task is registered."""
         return f"rrm/{self.name}-v0"
+
+    @property
+    def needs_opengl(self) -> bool:
+        """Whether its pictures are MuJoCo's."""
+        return self.spaces.frames is not None and "mujoco" in self.packages
 
     @property
     def reveals(self) -> tuple[str, ...]:
@@ -74,6 +80,19 @@ def _metaworld(name: str) -> Task:
     )  # fmt: skip
 
 
+#: What a robot knows beside pictures (appendix "Image-based RRM"): not where the object is now.
+_KNOWN = {"hand": slice(0, 3), "object_start": slice(4, 7), "goal": slice(7, 10)}
+_CORNERS = ("corner", "corner2", "corner3", "corner4")
+
+
+def _metaworld_image(name: str) -> Task:
+    return replace(
+        _metaworld(name), name=f"{name}-image", suite="metaworld-image", expert=name, features=_KNOWN,
+        entry_point="rrm.envs.metaworld:MetaWorldImageEnv", views=(*_CORNERS, "topview", "behindGripper", "gripperPOV"),
+        spaces=Spaces(10, 4, FrameSpace(64, 64, stack=3, view="corner4")),
+    )  # fmt: skip
+
+
 def _dmc(name: str, spaces: Spaces, upright: int, outcomes: tuple[str, ...]) -> Task:
     domain, _, task_name = name.partition("-")
     return Task(
@@ -91,6 +110,12 @@ _TOY_CAR = Task(
     features={"hand": slice(0, 2), "object": slice(0, 2), "goal": slice(2, 4), "clearance": slice(4, 5)},
 )  # fmt: skip
 
+_TOY_CAR_IMAGE = Task(
+    name="toy-car-image", suite="toy-image", score="success", horizon=100, views=("above",),
+    spaces=Spaces(6, 2, FrameSpace(32, 32, stack=3, view="above")), entry_point="rrm.envs.toy_car_image:ToyCarImageEnv",
+    features={"hand": slice(0, 2), "object": slice(0, 2), "goal": slice(4, 6)},
+)  # fmt: skip
+
 #: Every task, by its name on the command line.
 TASKS: dict[str, Task] = {
     t.name: t
@@ -99,6 +124,8 @@ TASKS: dict[str, Task] = {
         _dmc("walker-walk", Spaces(24, 6), upright=0, outcomes=("torso_upright", "torso_height", "forward_velocity")),
         _dmc("quadruped-walk", Spaces(78, 12), upright=47, outcomes=("torso_upright", "forward_velocity")),
         _TOY_CAR,
+        *map(_metaworld_image, ("button-press", "sweep-into")),
+        _TOY_CAR_IMAGE,
     )
 }
 

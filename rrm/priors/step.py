@@ -49,6 +49,11 @@ class Scene:
         return self.feature("object")
 
     @property
+    def object_start(self) -> Position:
+        """Where the object was when the episode began, metres."""
+        return self.feature("object_start")
+
+    @property
     def goal(self) -> Position:
         """Where the object is to go, metres."""
         return self.feature("goal")

@@ -22,6 +22,7 @@ from rrm.files import make_folder, write_atomically
 from rrm.imitation.demos import film_of
 from rrm.nets import products
 from rrm.registry import lookup
+from rrm.rendering import renderer
 from rrm.training.build import DEMOS, NO_RESULTS, Assembled, Results, assemble, result_of
 from rrm.training.episodes import demonstrate, expert_policy
 from rrm.training.kinds import JOBS, DemosConfig
@@ -77,6 +78,7 @@ def choose_products(earlier: Choice | None) -> Choice:
 def fingerprint(config: JobConfig) -> dict[str, str]:
     """Which world a job is done in: versions of what its task is made of, and `true_reward`, a digest of the task's
     rewards along a fixed random walk, rounded to six digits, so that machines that differ in the last bits agree.
+    What draws its pictures, where OpenGL does; a `RenderingError` where there is none.
     """
     env, rng = make(config.task), np.random.default_rng(0)
     steps, shape = min(_WALK, env.horizon), env.action_space.shape
@@ -86,7 +88,9 @@ def fingerprint(config: JobConfig) -> dict[str, str]:
     finally:
         env.close()
     digest = hashlib.sha256(" ".join(f"{reward:.6f}" for reward in rewards).encode()).hexdigest()[:16]
-    return {name: version(name) for name in (*config.spec().packages, "numpy", "torch")} | {"true_reward": digest}
+    drawn = {"renderer": renderer().name} if config.needs_opengl else {}
+    versions = {name: version(name) for name in (*config.spec().packages, "numpy", "torch")}
+    return versions | {"true_reward": digest} | drawn
 
 
 def collect(config: DemosConfig, folder: Path, monitor: Monitor, results: Results) -> bool:

@@ -98,6 +98,16 @@ class JobConfig(ConfigSection, ABC):
         """The task's description."""
         return task(self.task)
 
+    @property
+    def sees_frames(self) -> bool:
+        """Whether a camera's pictures are looked at."""
+        return self.spec().spaces.frames is not None
+
+    @property
+    def needs_opengl(self) -> bool:
+        """Whether it can run only where OpenGL draws."""
+        return self.sees_frames and self.spec().needs_opengl
+
 
 class RunConfig(JobConfig):
     """One run. Two runs with equal configurations are the same run."""
