@@ -38,6 +38,10 @@ class DemosConfig(JobConfig):
         return self
 
     @property
+    def sees_frames(self) -> bool:
+        return self.camera is not None
+
+    @property
     def frames(self) -> FrameSpace | None:
         """What is seen of the task; None where nobody looks."""
         return None if self.camera is None else looked_at(self.spec().spaces.frames, self.camera)
