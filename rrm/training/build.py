@@ -150,13 +150,13 @@ def lend_encoder(config: RunConfig, agent: VisualAgent, results: Results) -> Non
     path = result_of(results, config.agent.encoder_run, "model.safetensors")
     theirs = Eye.kept(read_prior(path, config.spec()))
     lent, own = (
-        f"{agent.channels} channels, strides {agent.strides}, frames {frames}"
+        f"{agent.looks}, of frames {frames}"
         for agent, frames in ((theirs.agent, theirs.frames), (config.agent, config.spaces.frames))
     )
     if lent != own:
         raise ConfigError(
-            f"agent.encoder: that of {path} is of {lent}; this run's is of {own}: set them as there, or agent.encoder "
-            '= "fresh"'
+            f"agent.encoder: that of {path} has {lent}; this run's agent has {own}: set them as there, or "
+            'agent.encoder = "fresh"'
         )
     agent.encoder.flat.copy_(theirs.encoder.flat)
 
