@@ -147,6 +147,11 @@ class DrqConfig(AgentConfig):
     def window(self) -> int:
         return self.n_step
 
+    @property
+    def looks(self) -> str:
+        """What an encoder lent to another agent must have in common with its own, in words."""
+        return f"{self.channels} channels and strides {list(self.strides)}"
+
     def encoded(self, height: int, width: int) -> int:
         """Numbers that the encoder makes of pictures of this size."""
         for stride in self.strides:

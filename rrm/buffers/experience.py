@@ -32,6 +32,7 @@ if TYPE_CHECKING:
 #: What a row is; _END is the observation behind an episode's last step.
 _STEP, _TERMINATED, _TRUNCATED, _END = range(4)
 _LOGGED = ("obs", "act", "prior", "raw_prior", "true_reward", "kind")
+_FRAMES = "frames.bin"
 _RELABEL_ROWS = 1 << 11  # keeps the activations of the reward ensemble within the caches' reach
 
 
@@ -126,13 +127,19 @@ class Experience:
 
         Args: time_limits_end: take a time limit for a termination in `continues`.
         """
-        return self._batch(self._row_of[numbers], time_limits_end=time_limits_end)
+        rows = self._row_of[numbers]
+        return self._filmed(rows, 1, self._batch(rows, time_limits_end=time_limits_end))
 
     def batch_of_windows(self, numbers: Tensor) -> Batch:
         """The windows of these numbers [B], counted likewise: every field has the axes [B, window], but for frames."""
         rows = self._window_of[numbers]
-        batch = self._batch(rows[:, None] + torch.arange(self.window))
-        return batch if self.frames is None else batch._replace(frames=self._filmed(rows, self.window + 1))
+        return self._filmed(rows, self.window, self._batch(rows[:, None] + torch.arange(self.window)))
+
+    def _filmed(self, rows: Tensor, steps: int, batch: Batch) -> Batch:
+        """The batch of so many steps from each of `rows` [B] on, with what was seen before, between and behind them."""
+        if self.frames is None:
+            return batch
+        return batch._replace(frames=self.frames.windows(rows.tolist(), self._depth(rows).tolist(), steps + 1))
 
     def _batch(self, rows: Tensor, *, time_limits_end: bool = False) -> Batch:
         kind = self.kind[rows]
@@ -155,18 +162,6 @@ class Experience:
         rows = torch.arange(begin, end)
         back = torch.arange(frames.stack - 1, -1, -1)
         return torch.from_numpy(pictures)[rows[:, None] - torch.minimum(back, self._depth(rows)[:, None]) - first]
-
-    def _filmed(self, rows: Tensor, count: int) -> Tensor:
-        """What was seen at each of `rows` [B] and at the steps behind it, `count` states in all: uint8
-        [B, stack - 1 + count, channels, height, width], the earliest picture first.
-        """
-        frames = self._some_frames
-        pictures = np.empty((len(rows), frames.stack - 1 + count, *frames.shape), np.uint8)
-        for picture, row, depth in zip(pictures, rows.tolist(), self._depth(rows).tolist(), strict=True):
-            before = frames.stack - 1 - depth
-            frames.read(row - depth, picture[before:])
-            picture[:before] = picture[before]  # an episode's first stands for those before it
-        return torch.from_numpy(pictures)
 
     def _depth(self, rows: Tensor) -> Tensor:
         """How many of the pictures of a stack lie before its row, int64 [B]."""
@@ -233,7 +228,7 @@ class Experience:
             "rewards": [rewards.size, rewards.crc],
             "next_obs": self.obs[self.rows].clone(),
         }
-        return state if self.frames is None else state | {"frames": self.frames.save(folder)}
+        return state if self.frames is None else state | {"frames": self.frames.save(folder / _FRAMES)}
 
     def load(self, folder: Path, state: State) -> None:
         """Continue from what `save` returned, on an empty experience; a `CheckpointError` where the logs lack it."""
@@ -255,7 +250,7 @@ class Experience:
         self._saved_generations = deque([self.generation], maxlen=KEPT)
         self.obs[self.rows] = state["next_obs"]
         if self.frames is not None:
-            self.frames.load(folder, state["frames"])
+            self.frames.load(folder / _FRAMES, state["frames"])
         kinds = self.kind[: self.rows].numpy()
         steps, ends = np.flatnonzero(kinds != _END), np.flatnonzero(kinds == _END)
         starts = np.concatenate([[0], ends + 1])

@@ -16,11 +16,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+import torch
 
 from rrm.checkpoint import AppendLog
 from rrm.files import naming
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from torch import Tensor
+
     from rrm.envs.spaces import FrameSpace
     from rrm.types import Pixels, State
 
@@ -31,6 +36,7 @@ class Frames:
     """Pictures uint8 [channels, height, width], in a file of its own until `save` says where they are to stay."""
 
     def __init__(self, space: FrameSpace) -> None:
+        self.space = space
         self.stack = space.stack
         self.shape = space.planar
         self._bytes = math.prod(self.shape)
@@ -62,9 +68,21 @@ class Frames:
         if os.preadv(self._file, [into.data.cast("B")], begin * self._bytes) != into.nbytes:
             raise IndexError(f"{len(into)} pictures from row {begin} on; there are {self._count}")
 
-    def save(self, folder: Path) -> State:
-        """Make durable what there is, in `folder`; the state returned says how much that is."""
-        path = folder / "frames.bin"
+    def windows(self, rows: Sequence[int], depths: Sequence[int], count: int) -> Tensor:
+        """What was seen at each of `rows` and at the steps behind it, `count` states in all, uint8
+        [B, stack - 1 + count, channels, height, width], the earliest picture first.
+
+        Args: depths: how many rows before each are of the same episode; its first picture stands for those before it.
+        """
+        pictures = np.empty((len(rows), self.stack - 1 + count, *self.shape), np.uint8)
+        for picture, row, depth in zip(pictures, rows, depths, strict=True):
+            before = max(self.stack - 1 - depth, 0)
+            self.read(row + before - self.stack + 1, picture[before:])
+            picture[:before] = picture[before]
+        return torch.from_numpy(pictures)
+
+    def save(self, path: Path) -> State:
+        """Make durable what there is, in this file; the state returned says how much that is."""
         with naming(path):
             if self._path != path:
                 with path.open("w+b") as file:
@@ -75,15 +93,18 @@ class Frames:
             os.fsync(self._file)
         return {"size": self._count * self._bytes, "crc": self._crc}
 
-    def load(self, folder: Path, state: State) -> None:
-        """Continue from what `save` returned, on an empty store; a `CheckpointError` where the file lacks it."""
-        path = folder / "frames.bin"
+    def load(self, path: Path, state: State, *, finished: bool = False) -> None:
+        """Continue from what `save` returned, on an empty store; a `CheckpointError` where the file lacks it.
+
+        Args: finished: nothing will be appended: the file may be another's, and is left as it is.
+        """
         log = AppendLog(path)
         for _ in log.restore(int(state["size"]), int(state["crc"]), self._bytes):
             pass
         self._count, self._crc, self._path = log.size // self._bytes, log.crc, path
-        with naming(path), path.open("r+b") as file:
-            file.truncate(log.size)  # behind it lies what a process wrote that died
+        with naming(path), path.open("rb" if finished else "r+b") as file:
+            if not finished:
+                file.truncate(log.size)  # behind it lies what a process wrote that died
             self._let_go()
             self._hold(os.dup(file.fileno()))
 

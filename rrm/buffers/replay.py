@@ -9,6 +9,8 @@ import torch
 from rrm.types import Batch
 
 if TYPE_CHECKING:
+    from torch import Tensor
+
     from rrm.buffers.experience import Experience
 
 
@@ -54,10 +56,6 @@ class Replay:
         numbers = torch.randint(first, self.transitions, (count,), generator=generator)
         return self._experience.batch(numbers, time_limits_end=time_limits_end)
 
-    def spread(self, count: int) -> Batch:
-        """`count` transitions, evenly over all there are; some twice where there are fewer."""
-        return self._experience.batch(torch.arange(count) * self.transitions // count)
-
-    def newest(self, count: int) -> Batch:
-        """The last `count` transitions, or all where there are fewer, in order."""
-        return self._experience.batch(torch.arange(max(0, self.transitions - count), self.transitions))
+    def batch(self, numbers: Tensor) -> Batch:
+        """Transitions by number, int64 [B], counted from 0 in the order in which they were lived."""
+        return self._experience.batch(numbers)

@@ -22,6 +22,10 @@ class FrameSpace:
     view: str = ""  #: which of the task's cameras
     quality: Quality = "fast"
 
+    def __str__(self) -> str:
+        size = " x ".join(map(str, self.planar))
+        return f"{size} from {self.view or 'its camera'} ({self.quality}), {self.stack} at once"
+
     @property
     def planar(self) -> tuple[int, int, int]:
         """The shape of a stored picture."""

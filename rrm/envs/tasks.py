@@ -1,8 +1,9 @@
 """The one place that says what each task is and what the named features of its observations are.
 
 A feature is a position in metres (`hand`, `object`, `goal`; `object_start`, where the object was when the episode
-began), the uprightness of the torso (`upright`, the z component
-of its z axis, in [-1, 1]) or a distance (`clearance`, metres to the nearest obstacle's edge); a task may have others.
+began), what a robot that looks at pictures knows of itself besides (`proprioception`), the uprightness of the torso
+(`upright`, the z component of its z axis, in [-1, 1]) or a distance (`clearance`, metres to the nearest obstacle's
+edge); a task may have others.
 Priors ask for features by name: nobody else indexes an observation.
 """
 
@@ -81,7 +82,7 @@ def _metaworld(name: str) -> Task:
 
 
 #: What a robot knows beside pictures (appendix "Image-based RRM"): not where the object is now.
-_KNOWN = {"hand": slice(0, 3), "object_start": slice(4, 7), "goal": slice(7, 10)}
+_KNOWN = {"hand": slice(0, 3), "proprioception": slice(0, 4), "object_start": slice(4, 7), "goal": slice(7, 10)}
 _CORNERS = ("corner", "corner2", "corner3", "corner4")
 
 
@@ -113,7 +114,7 @@ _TOY_CAR = Task(
 _TOY_CAR_IMAGE = Task(
     name="toy-car-image", suite="toy-image", score="success", horizon=100, views=("above",),
     spaces=Spaces(6, 2, FrameSpace(32, 32, stack=3, view="above")), entry_point="rrm.envs.toy_car_image:ToyCarImageEnv",
-    features={"hand": slice(0, 2), "object": slice(0, 2), "goal": slice(4, 6)},
+    features={"hand": slice(0, 2), "object": slice(0, 2), "proprioception": slice(0, 4), "goal": slice(4, 6)},
 )  # fmt: skip
 
 #: Every task, by its name on the command line.

@@ -13,14 +13,15 @@ from rrm.buffers.experience import Experience
 from rrm.buffers.replay import Replay
 from rrm.checkpoint import again
 from rrm.config import IMITATION, PRIOR_ALONE, DrqConfig
-from rrm.errors import DemosError, MissingResultError
+from rrm.errors import ConfigError, DemosError, MissingResultError
 from rrm.imitation.demos import Demonstrations
-from rrm.imitation.discriminator import RewardNet
+from rrm.imitation.discriminator import Discriminator, RewardNet
 from rrm.imitation.finetune import Finetune, ImitatedReward
+from rrm.imitation.visual import Eye, VisualDiscriminator
 from rrm.interfaces import Agent, RewardFunction, RewardLearner, VisualAgent
 from rrm.moments import RunningMoments
 from rrm.priors import load_prior
-from rrm.priors.imitation import ImitationPrior
+from rrm.priors.imitation import ImitationPrior, read_prior
 from rrm.priors.step import PriorStep
 from rrm.priors.values import PriorSource
 from rrm.registry import lookup
@@ -66,6 +67,8 @@ def assemble(config: RunConfig, streams: Streams, results: Results) -> Parts:
     """
     kind, begin, switch = config.reward.kind, config.random_steps, config.first_session
     agent = build_agent(config, streams)
+    if config.borrows_encoder:
+        lend_encoder(config, cast("VisualAgent", agent), results)
     repeat = config.action_repeat
     experience = Experience(config.steps // repeat, config.episode_steps // repeat, config.spaces, config.agent.window)
     prior = build_prior(config, streams, results)
@@ -92,10 +95,10 @@ def assemble(config: RunConfig, streams: Streams, results: Results) -> Parts:
         source = Known(replay, "prior") if kind is PRIOR_ALONE else Known(replay, "true_reward", config.reward.factor)
         phases = [Phase(begin=begin, source=source)]
     elif kind.demonstrated:
+        imitation = config.imitation.model_copy(update={"window": config.imitation.window // repeat})  # in transitions
         source = Adversarial(
-            config.imitation, _demonstrations(config, results), replay,
-            discount=config.agent.discount, streams=streams, precision=config.precision,
-            about=None if kind.learned else {"task": config.task, "seed": config.seed},
+            imitation, _demonstrations(config, results), replay, build_discriminator(config, streams),
+            streams=streams, about=None if kind.learned else {"task": config.task, "seed": config.seed},
         )  # fmt: skip
         phases = [Phase(begin=begin, source=source)]
         if kind.learned:
@@ -126,7 +129,7 @@ def _demonstrations(config: RunConfig, results: Results) -> Demonstrations:
         if named is not None:
             raise
         raise MissingResultError(f"{error}: {again(path)}") from error
-    demos.check(config.spec(), str(path))
+    demos.check(config.spec(), str(path), config.spaces.frames, config.action_repeat)
     return demos
 
 
@@ -136,6 +139,38 @@ def build_agent(config: RunConfig, streams: Streams) -> Agent:
         config.agent, config.spaces, streams, precision=config.precision
     )
     return agent
+
+
+def lend_encoder(config: RunConfig, agent: VisualAgent, results: Results) -> None:
+    """Have an untrained agent begin with the encoder of the run `agent.encoder_run`.
+
+    Raises ConfigError where that is of another shape, or looks elsewhere; MissingResultError where it is not there.
+    """
+    assert isinstance(config.agent, DrqConfig)  # the configuration has checked it
+    path = result_of(results, config.agent.encoder_run, "model.safetensors")
+    theirs = Eye.kept(read_prior(path, config.spec()))
+    lent, own = (
+        f"{agent.looks}, of frames {frames}"
+        for agent, frames in ((theirs.agent, theirs.frames), (config.agent, config.spaces.frames))
+    )
+    if lent != own:
+        raise ConfigError(
+            f"agent.encoder: that of {path} has {lent}; this run's agent has {own}: set them as there, or "
+            'agent.encoder = "fresh"'
+        )
+    agent.encoder.flat.copy_(theirs.encoder.flat)
+
+
+def build_discriminator(config: RunConfig, streams: Streams) -> Discriminator:
+    """The discriminator, untrained, of what the agent sees."""
+    spaces, generator = config.spaces, streams.torch("imitation-init")
+    rest = spaces.act, config.agent.discount
+    if not isinstance(config.agent, DrqConfig) or spaces.frames is None:
+        return Discriminator(config.imitation, spaces.obs, *rest, generator=generator, precision=config.precision)
+    known = config.spec().features.get("proprioception", slice(0))
+    assert isinstance(known, slice)  # a learned reward is told numbers of the observation as they are
+    eye = Eye(config.agent, spaces.frames, slice(*known.indices(spaces.obs)[:2]), generator, config.precision)
+    return VisualDiscriminator(config.imitation, eye, *rest, generator=generator, precision=config.precision)
 
 
 def build_reward(config: RunConfig, streams: Streams) -> RewardFunction:
@@ -160,7 +195,7 @@ def build_prior(config: RunConfig, streams: Streams, results: Results) -> PriorS
         return None
     if name == IMITATION:
         path = result_of(results, config.reward.prior_run, "model.safetensors")
-        prior: Callable[[PriorStep], float] = ImitationPrior(path, task, config.reward.squash)
+        prior: Callable[[PriorStep], float] = ImitationPrior(path, task, config.reward.squash, config.spaces.frames)
     else:
         prior = load_prior(name)
     return PriorSource(name, prior, config.reward.normaliser, task, streams.numpy("prior"))

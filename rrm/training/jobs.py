@@ -14,10 +14,12 @@ from typing import Any, Protocol
 import numpy as np
 import torch
 
+from rrm.buffers.frames import Frames
 from rrm.checkpoint import Checkpoints, check_finite, encode
 from rrm.envs import make
 from rrm.errors import NumericalError, PriorError, WaitingError
 from rrm.files import make_folder, write_atomically
+from rrm.imitation.demos import film_of
 from rrm.nets import products
 from rrm.registry import lookup
 from rrm.rendering import renderer
@@ -92,7 +94,8 @@ def fingerprint(config: JobConfig) -> dict[str, str]:
 
 
 def collect(config: DemosConfig, folder: Path, monitor: Monitor, results: Results) -> bool:
-    """Have the expert play, and leave its episodes in `folder/demos.safetensors`. A matter of a minute: no checkpoint.
+    """Have the expert play, and leave its episodes in `folder/demos.safetensors`, and pictures of them beside it. A
+    matter of a minute, or of some where they are drawn: no checkpoint.
 
     True when they are there; False when it was told to stop, and will begin anew.
     """
@@ -103,11 +106,16 @@ def collect(config: DemosConfig, folder: Path, monitor: Monitor, results: Result
         monitor.beat(step, steps_per_s)
         return monitor.should_stop()
 
+    frames = None
+    if config.frames is not None:
+        frames = Frames(config.frames)
+        with monitor.writing():
+            frames.save(film_of(folder / DEMOS))
     source = {"source": "expert", "expert": config.expert.identity, "expert_steps": config.expert.steps}
     demos = demonstrate(
         config.task, policy, config.episodes,
         seed=config.seed, horizon=config.expert.horizon, least_success=config.least_success, source=source,
-        stopped=stopped,
+        repeat=config.expert.action_repeat, frames=frames, by_state=config.expert.task != config.task, stopped=stopped,
     )  # fmt: skip
     if demos is None:
         return False

@@ -196,7 +196,7 @@ class RunConfig(JobConfig):
     def spaces(self) -> Spaces:
         """What the agent is told of the task, frames as they are looked at here; none where it does not see them."""
         spaces = self.spec().spaces
-        return replace(spaces, frames=self._frames(spaces.frames) if self.sees_frames else None)
+        return replace(spaces, frames=looked_at(spaces.frames, self.camera) if self.sees_frames else None)
 
     @property
     def borrows_encoder(self) -> bool:
@@ -206,14 +206,6 @@ class RunConfig(JobConfig):
     @property
     def _usual_encoder(self) -> str:
         return "imitation" if self.reward.prior == IMITATION else "fresh"
-
-    def _frames(self, own: FrameSpace | None) -> FrameSpace | None:
-        camera = self.camera
-        if own is None:
-            return None
-        height, width = (camera.size, camera.size) if camera.size else (own.height, own.width)
-        view, stack = camera.view or own.view, camera.stack or own.stack
-        return replace(own, height=height, width=width, view=view, stack=stack, quality=camera.quality)
 
     def _feedback_can_be_met(self) -> None:
         if self.feedback is None or self.teacher is None:
@@ -384,6 +376,15 @@ class RunConfig(JobConfig):
             sizes.append(self.feedback.session_size(step, self.steps, queries))
             queries += sizes[-1]
         return sizes
+
+
+def looked_at(own: FrameSpace | None, camera: CameraConfig) -> FrameSpace | None:
+    """A task's own frames as `camera` looks at them."""
+    if own is None:
+        return None
+    height, width = (camera.size, camera.size) if camera.size else (own.height, own.width)
+    view, stack = camera.view or own.view, camera.stack or own.stack
+    return replace(own, height=height, width=width, view=view, stack=stack, quality=camera.quality)
 
 
 def _idle(reward: RewardConfig) -> Iterator[str]:

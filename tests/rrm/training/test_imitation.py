@@ -144,7 +144,7 @@ def test_the_prior_is_bounded_from_the_first_step(tmp_path_factory, states, mean
     prior, act = ImitationPrior(path, spec), np.zeros(2, np.float32)
     source = PriorSource("imitation", prior, "scale", spec, np.random.default_rng(0))
     source.begin_episode(np.zeros(15, np.float32))
-    values = np.array([source(np.full(15, state, np.float32), act, {}, 0) for state in states])
+    values = np.array([source(Obs(np.full(15, state, np.float32)), act, {}, 0) for state in states])
     assert (abs(values) <= 1).all()
     assert values[0, 0] == pytest.approx(np.tanh((max(states[0], 0) - mean) / (std or 1)), rel=1e-5, abs=1e-7)
     assert (np.diff(values[np.argsort(np.maximum(states, 0), kind="stable"), 0]) >= 0).all()
@@ -324,7 +324,6 @@ def test_the_window_leaves_older_transitions_out(imitating, results):
     last = {tuple(row.tolist()) for row in experience.obs[experience.since(150)]}
     drawn = replay.draw(400, torch.Generator().manual_seed(0), newest=50)
     assert {tuple(row.tolist()) for row in drawn.obs} == last
-    assert len(replay.newest(50).obs) == 50
     trainer.close()
 
 
