@@ -39,17 +39,9 @@ def play_run(folder: RunFolder, episodes: int, seed: int, least_success: float) 
 
 
 def play_script(task: str, episodes: int, seed: int, least_success: float) -> Demonstrations:
-    """Episodes of the policy that Meta-World ships.
-
-    Raises:
-        UserError: an agent of this task is to see pictures, for which its actions last several steps.
-        RrmError: there is no such policy, or it succeeds too rarely.
-    """
+    """Episodes of the policy that Meta-World ships. Raises RrmError where there is none, or it succeeds too rarely."""
     from rrm.envs.metaworld import scripted_policy
-    from rrm.envs.tasks import task as task_of
 
-    if (state_task := task_of(task).expert) is not None:
-        raise UserError(f"{task}: the scripted policy shows no pictures", f"it plays {state_task}; or name a --run")
     policy, source = scripted_policy(task), {"source": "scripted"}
     options = {"seed": seed, "least_success": least_success, "source": source}
     return _play(task, lambda obs: policy(obs.state), episodes, **options)
