@@ -71,6 +71,7 @@ class Encoder:
             [shape for i, o in pairwise(widths) for shape in ((o, _SIDE, _SIDE, i), (o,))], device
         )
         self.flat, self.flat_grad = self._parameters.flat, self._parameters.flat_grad
+        self._leaves = self._parameters.leaves()
         if generator is not None:
             for weight in _planar(self._parameters.values)[::2]:
                 drawn = torch.empty(weight.shape, device=device)
@@ -85,7 +86,7 @@ class Encoder:
 
     def parameters(self) -> list[Tensor]:
         """Leaves for autograd that share memory with `flat`: `[W0, b0, W1, b1, ...]`, W [out, 3, 3, in], b [out]."""
-        return self._parameters.leaves
+        return self._leaves
 
     @torch.no_grad()
     def encode(self, frames: Tensor) -> Tensor:

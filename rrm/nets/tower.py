@@ -52,6 +52,7 @@ class Tower:
             shapes += [(members, o, i) if role == "weight" else (members, 1, o) for role in roles]
         self._parameters = Parameters(shapes, device)
         self.flat, self.flat_grad = self._parameters.flat, self._parameters.flat_grad
+        self._leaves = self._parameters.leaves()
         self.trunk, self.trunk_grad = self._parameters.values[0], self._parameters.grads[0]  #: [trunk, R]
         if generator is not None:
             self.initialise(generator)
@@ -62,7 +63,7 @@ class Tower:
         The trunk's `[W, b, gain, offset]`, W [trunk, R]; then of each layer W [N, out, in], b [N, 1, out], and gain and
         offset [N, 1, out] where it is normalised.
         """
-        return self._parameters.leaves
+        return self._leaves
 
     def initialise(self, generator: torch.Generator) -> None:
         """Draw fresh weights in place."""
@@ -92,7 +93,7 @@ class Tower:
             extra: [B, extra].
             noise: what units are dropped by.
         """
-        bias, gain, offset, *rest = (self._parameters.values if frozen else self._parameters.leaves)[1:]
+        bias, gain, offset, *rest = (self._parameters.values if frozen else self._leaves)[1:]
         left = [pre + bias]
         h = torch.tanh(nn.functional.layer_norm(left[0], pre.shape[1:], gain, offset))
         h = (h if extra is None else torch.cat((h, extra), dim=1)).expand(self.members, -1, -1)
