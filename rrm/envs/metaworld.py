@@ -155,9 +155,7 @@ def scripted_policy(name: str) -> Callable[[Floats], Floats]:
     """The policy that Meta-World ships for a task: from observation to action, both float32; actions may exceed 1."""
     spec = task_of(name)
     if spec.suite != "metaworld":
-        raise ConfigError(
-            f"{name} has no scripted policy: only Meta-World ships them, and this is of suite {spec.suite}"
-        )
+        raise ConfigError(f"{name} has no scripted policy: Meta-World ships them for its own observations alone")
     from metaworld.policies import ENV_POLICY_MAP
 
     policy: Any = ENV_POLICY_MAP[spec.kwargs["task"]]()  # type: ignore[abstract]  # each entry is a finished class
