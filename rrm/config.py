@@ -190,7 +190,7 @@ class CameraConfig(ConfigSection):
     """How a task with a camera is looked at; None is as the task has it."""
 
     view: str | None = None  #: one of the task's
-    size: Count | None = None  #: pixels of a side
+    size: Annotated[int, Field(ge=1, le=1024)] | None = None  #: pixels of a side
     stack: Count | None = None  #: newest pictures that an agent sees at once
     quality: Literal["fast", "full"] = "fast"  #: without shadows, reflections and smooth edges, or with them
 

@@ -33,6 +33,7 @@ class Batch(NamedTuple):
     """Transitions for one agent update. It has no true reward: that column is read by teachers and evaluation alone.
 
     Agents that see frames get windows of T consecutive steps of an episode: `B` is then `B, T`, but for the frames.
+    Those of a transition are as of T = 1.
     """
 
     obs: Tensor  #: float32 [B, O]

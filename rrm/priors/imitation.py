@@ -74,7 +74,9 @@ class ImitationPrior:
 
         with torch.no_grad():
             seen = step.obs
-            if self._eye is not None and step.frames is not None:
+            if self._eye is not None:
+                if step.frames is None:
+                    raise PriorError("it looks at frames, and is shown none")
                 seen = self._eye(torch.from_numpy(step.frames)[None], torch.tensor(seen)[None])[0].numpy()
             self._row.copy_(torch.from_numpy(np.concatenate((seen, step.act))))
             score = (float(self._g(self._row)) - self._mean) / self._std

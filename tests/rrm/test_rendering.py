@@ -66,6 +66,7 @@ def test_it_is_looked_for_once(opengl, monkeypatch):
     assert renderer() is opengl
 
 
+@pytest.mark.sim
 def test_simulating_needs_none(no_opengl):
     """A task with a camera is stepped where nothing draws, and asking for a picture is refused with that line."""
     code = """

@@ -19,7 +19,7 @@ from collections.abc import Iterator
 from itertools import accumulate
 from pathlib import Path
 
-from rrm.envs.tasks import Task
+from rrm.envs.tasks import TASKS, Task
 from rrm.errors import ConfigError
 from rrm.priors.language.translate import is_text
 from rrm.priors.language.vocabulary import OUTCOMES, TASK_FEATURES
@@ -101,7 +101,8 @@ def _shown(task: Task) -> str:
 def source_without_reward(task: Task) -> str:
     """The task's source file without its reward."""
     if _shown(task) not in _TASKS:
-        raise ConfigError(f"there is no prompt for {task.name}; there is one for: {', '.join(_TASKS)}")
+        known = ", ".join(name for name, each in TASKS.items() if _shown(each) in _TASKS)
+        raise ConfigError(f"there is no prompt for {task.name}; there is one for: {known}")
     package, _, inside = _TASKS[_shown(task)][0].partition("/")
     spec = importlib.util.find_spec(package)  # found, not imported: simulators take a second to load
     if spec is None or not spec.submodule_search_locations:

@@ -4,7 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from pydantic import ValidationError
 
+from rrm.config import CameraConfig
 from rrm.envs import TASKS, make, task
 from rrm.envs.observer import Observer
 from rrm.errors import ConfigError, PriorError
@@ -87,6 +89,14 @@ def test_what_an_agent_sees(name, envs):
     later = observer.step(actions(name, 1, seed=0)[0])[0]
     np.testing.assert_array_equal(later.frames[:2], seen.frames[1:])
     observer.close()
+
+
+def test_size():
+    """No more than any OpenGL has room for; as much as that is drawn."""
+    with pytest.raises(ValidationError, match=r"size\n.*less than or equal to 1024"):
+        CameraConfig(size=1025)
+    space = replace(task("toy-car-image").spaces.frames, height=1024, width=1024)
+    assert make("toy-car-image").frame(space).shape == (1024, 1024, 3)
 
 
 @pytest.mark.sim

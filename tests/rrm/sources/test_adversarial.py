@@ -149,6 +149,21 @@ def test_where_g_lies_is_kept_with_it():
     assert (prior["mean"], prior["std"]) == pytest.approx((seen.mean(), seen.std(ddof=1)))
 
 
+def test_no_more_is_looked_at_than_the_discriminator_looks_at():
+    """Evenly spread, few at a time, of demonstrations, window and run alike."""
+    source, asked = make(window=8), []
+    net = source.discriminator
+    net.most, net.at_once = 4, 3
+    told = net.reward
+    net.reward = lambda steps: asked.append(steps.obs[:, 0]) or told(steps)
+    source.evaluated(10, Evaluation(1.0, 1.0))
+    assert [len(part) for part in asked] == [3, 1] * 3
+    shown, newest, run = (torch.cat(asked[i : i + 2]) for i in (0, 2, 4))
+    assert shown.tolist() == [0.0, 1.0, 2.0, 3.0]  # of 5, which count their steps
+    assert torch.equal(newest, batch(2).obs[[24, 26, 28, 30], 0])
+    assert torch.equal(run, batch(2).obs[[0, 8, 16, 24], 0])
+
+
 def test_the_figures_variant_rewards_g_itself():
     """Trained by mean squared error, there is no shaping and no policy in the reward."""
     source = make(pretrain="mse")
