@@ -93,9 +93,9 @@ class Drm(Drq):
 
     def _value(self, features: Tensor, noise: Tensor) -> Tensor:
         """In part that of the data's best actions."""
-        (pre,) = project(features, self.value)
+        pre_actor, pre_target, pre = project(features, self.actor, self.target, self.value)
         share = self.config.exploitation
-        return share * self.value.outputs(pre)[-1][0, :, 0] + (1 - share) * super()._value(features, noise)
+        return share * self.value.outputs(pre)[-1][0, :, 0] + (1 - share) * self._explored(pre_actor, pre_target, noise)
 
     def reset_critic(self) -> None:
         """The value with the critics: it was learned from them."""

@@ -169,8 +169,12 @@ class Drq:
         return project(features, self.actor, self.critic)
 
     def _value(self, features: Tensor, noise: Tensor) -> Tensor:
-        """Of the state behind a window, [B]: the smaller target's, of a sampled action."""
+        """Of the state behind a window, [B]."""
         pre_actor, pre_target = project(features, self.actor, self.target)
+        return self._explored(pre_actor, pre_target, noise)
+
+    def _explored(self, pre_actor: Tensor, pre_target: Tensor, noise: Tensor) -> Tensor:
+        """What the smaller target says of a sampled action, [B]."""
         act = self._sample(self.actor.outputs(pre_actor)[-1][0], noise)
         return torch.minimum(*self._q(self.target, pre_target, act))
 

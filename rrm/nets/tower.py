@@ -111,7 +111,7 @@ class Tower:
     def _dropped(self, h: Tensor, noise: torch.Generator | None) -> Tensor:
         if not self.dropout:
             return h
-        kept = torch.empty_like(h).bernoulli_(1 - self.dropout, generator=noise)
+        kept = torch.rand(h.shape, generator=noise, device=h.device).ge_(self.dropout)
         return h * kept / (1 - self.dropout)
 
 

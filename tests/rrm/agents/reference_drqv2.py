@@ -50,7 +50,7 @@ class TrunkAndHeads(nn.Module):
         outputs = [h if act is None else torch.cat((h, act), dim=-1)] * len(self.heads)
         for modules in zip(*self.heads, strict=True):
             if isinstance(modules[0], nn.Dropout):
-                kept = torch.empty(len(outputs), *outputs[0].shape).bernoulli_(1 - modules[0].p, generator=noise)
+                kept = torch.rand(len(outputs), *outputs[0].shape, generator=noise) >= modules[0].p
                 outputs = [h * mask / (1 - modules[0].p) for h, mask in zip(outputs, kept, strict=True)]
             else:
                 outputs = [module(h) for module, h in zip(modules, outputs, strict=True)]

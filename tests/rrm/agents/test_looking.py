@@ -8,7 +8,7 @@ import torch
 
 from rrm.agents.drm import Drm
 from rrm.agents.drqv2 import Drq
-from rrm.config import DrmConfig, DrqConfig
+from rrm.config import DrmConfig, DrqConfig, EvaluationConfig
 from rrm.envs import TASKS, FrameSpace, Spaces
 from rrm.seeding import Streams
 from rrm.types import Batch, Obs
@@ -32,8 +32,11 @@ def test_in_the_loop(tmp_path, monkeypatch, agent):
     """Trained on frames, and interrupted: the same curve, bit for bit. Its figures are in the rows."""
     monkeypatch.setitem(TASKS, "slope", replace(SLOPE, spaces=SPACES, entry_point=f"{__name__}:Drawn"))
     small = agent.model_copy(update={"strides": (2, 1), "hidden": 16, "features": 8, "batch": 8, "shift": 2})
-    perturbed = {"perturb_every": 100} if agent.kind == "drm" else {}
-    given = config("slope", agent=small.model_copy(update=perturbed), action_repeat=2, steps=200)
+    perturbed = {"perturb_every": 80} if agent.kind == "drm" else {}
+    given = config(
+        "slope", agent=small.model_copy(update=perturbed), action_repeat=2, steps=120,
+        evaluation=EvaluationConfig(every=60, episodes=1),
+    )  # fmt: skip
     straight = trained(given, tmp_path / "a")
     assert straight == trained(given, tmp_path / "b", (30, 70, None))
     for figure in ("critic_loss", "actor_loss", "stddev", *(["dormant_ratio"] if agent.kind == "drm" else [])):
