@@ -15,12 +15,11 @@ if TYPE_CHECKING:
 
     from torch import Tensor
 
-    from rrm.nets.encoder import Encoder
     from rrm.types import Batch, Floats, Obs, Segments, State
 
 __all__ = [
-    "Agent", "Answer", "CriticAgent", "Feedback", "Needs", "Query", "RewardFunction", "RewardLearner", "SegmentRef",
-    "Stateful", "StochasticAgent", "Teacher", "VisualAgent",
+    "Agent", "Answer", "CriticAgent", "Feedback", "FrameEncoder", "Needs", "Query", "RewardFunction", "RewardLearner",
+    "SegmentRef", "Stateful", "StochasticAgent", "Teacher", "VisualAgent",
 ]  # fmt: skip
 
 
@@ -86,10 +85,25 @@ class StochasticAgent(Agent, Protocol):
         """Log density of any actions [B, A] at obs [B, O], without gradient: float32 [B], nats, finite."""
 
 
+class FrameEncoder(Protocol):
+    """What makes features of frames."""
+
+    flat: Tensor  #: its parameters
+    outputs: int  #: features, R
+
+    def encode(self, frames: Tensor) -> Tensor:
+        """Float32 [B, R] of uint8 [B, stack, channels, height, width], without gradient."""
+
+    def frozen(self) -> FrameEncoder:
+        """A copy that does not change any more."""
+
+
 class VisualAgent(Agent, Protocol):
     """An agent that sees frames, by an encoder that a learned reward may borrow."""
 
-    encoder: Encoder
+    @property
+    def encoder(self) -> FrameEncoder:
+        """As it is now."""
 
     def log_prob(self, frames: Tensor, act: Tensor) -> Tensor:
         """Of any actions [B, A] on seeing frames uint8 [B, stack, channels, height, width], float32 [B], nats."""

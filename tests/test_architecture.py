@@ -32,6 +32,7 @@ KNOW_RRM = {
         "planning.grid",
         "planning.prerequisites",
     ),  # names and settings become configurations
+    "planning.cost",  # agents differ in what an update of theirs costs
     *("running.experts", "running.pictures"),  # demonstrations that people ask for, and what an agent sees
     *("running.config_file", "running.worker"),  # a configuration's way into the process that trains
     "cli.prior",  # candidates of a language model become priors of the library

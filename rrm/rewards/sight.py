@@ -13,7 +13,7 @@ from torch import Tensor
 
 if TYPE_CHECKING:
     from rrm.buffers.experience import Experience
-    from rrm.nets.encoder import Encoder
+    from rrm.interfaces import FrameEncoder
     from rrm.types import Pixels, State
 
 _AT_ONCE = 256  # observations; libraries may round otherwise for another number
@@ -27,7 +27,7 @@ class Sight:
     same numbers, and so the same bits, whether or not a run was interrupted.
     """
 
-    def __init__(self, experience: Experience, encoder: Encoder) -> None:
+    def __init__(self, experience: Experience, encoder: FrameEncoder) -> None:
         self._experience = experience
         self._encoder = encoder.frozen()
         self._session_rows = 0  # when the encoder was taken
@@ -48,7 +48,7 @@ class Sight:
         """Features [1, R] of what was seen at one step, [stack, channels, height, width]."""
         return self._encoder.encode(torch.from_numpy(frames)[None])
 
-    def renew(self, encoder: Encoder) -> None:
+    def renew(self, encoder: FrameEncoder) -> None:
         """See with this encoder as it is now."""
         self._encoder = encoder.frozen()
         self._session_rows = self._experience.rows

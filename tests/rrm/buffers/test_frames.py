@@ -93,10 +93,10 @@ def test_pictures_of_a_process_that_died_are_written_over(tmp_path):
     before = Frames(space)
     for row in range(3):
         before.append(picture(row))
-    state = before.save(tmp_path)
+    state = before.save(tmp_path / "frames.bin")
     before.append(picture(77))
     after = Frames(space)
-    after.load(tmp_path, state)
+    after.load(tmp_path / "frames.bin", state)
     assert (tmp_path / "frames.bin").stat().st_size == 12
     after.append(picture(3))
     seen = np.empty((4, 1, 2, 2), np.uint8)
@@ -111,14 +111,15 @@ def test_damaged_pictures_are_noticed(tmp_path, harm):
     frames = Frames(FrameSpace(2, 2, 1))
     for row in range(5):
         frames.append(picture(row))
-    state, path = frames.save(tmp_path), tmp_path / "frames.bin"
+    path = tmp_path / "frames.bin"
+    state = frames.save(path)
     data = bytearray(path.read_bytes())
     data[7] ^= 1
     path.write_bytes({"flip": data, "cut": data[:-1]}.get(harm, b""))
     if harm == "remove":
         path.unlink()
     with pytest.raises(CheckpointError, match=r"frames\.bin"):
-        Frames(FrameSpace(2, 2, 1)).load(tmp_path, state)
+        Frames(FrameSpace(2, 2, 1)).load(path, state)
 
 
 def test_pictures_do_not_stay_in_memory():
