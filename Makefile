@@ -10,7 +10,7 @@ PIP := $(BIN)/python -m pip install
 # What pip says is shown where it fails: about some package indexes it warns a hundred times.
 LOGGED := >.venv/install.log 2>&1 || { cat .venv/install.log >&2; exit 1; }
 
-.PHONY: quickstart test test-slow check install browser tex bench soak clean
+.PHONY: quickstart test test-slow check install browser tex opengl bench soak clean
 
 quickstart: install
 	$(BIN)/rrmctl run quickstart
@@ -40,6 +40,11 @@ soak: install
 tex:
 	command -v pdflatex || { $(AS_ROOT) apt-get update && \
 		$(AS_ROOT) apt-get install --yes --no-install-recommends texlive-latex-recommended; }
+
+# OpenGL without a display, for what a camera sees, on Debian and its kin; a graphics card's driver brings its own.
+opengl: install
+	$(BIN)/python -c "from rrm.rendering import renderer; renderer()" 2>/dev/null || { $(AS_ROOT) apt-get update && \
+		$(AS_ROOT) apt-get install --yes --no-install-recommends libegl1 libegl-mesa0 libgl1-mesa-dri; }
 
 bench: .venv/benched
 	$(BIN)/python -m benchmarks $(BENCHMARKS)

@@ -14,7 +14,7 @@ from benchmarks.lines import Line, in_turns
 from benchmarks.sac_update import ACT, OBS, best_products, products_flop
 from rrm.buffers.experience import Experience
 from rrm.buffers.pairs import PairRing, Preferences, StoredFeedback
-from rrm.config import AgentConfig, RewardConfig
+from rrm.config import RewardConfig, SacConfig
 from rrm.envs import Spaces
 from rrm.nets.precision import multiplies
 from rrm.precision import Precision
@@ -42,10 +42,10 @@ def _lines(experience: Experience, precision: Precision) -> Iterator[Line]:
     epoch_s, relabel_s, products_s = in_turns(
         lambda: learner.fit(labels),
         lambda: experience.relabel(reward.predict),
-        best_products(AgentConfig(), precision),
+        best_products(SacConfig(), precision),
         turns=3,
     )
-    rate = products_flop(AgentConfig()) / products_s
+    rate = products_flop(SacConfig()) / products_s
     forward, backward = _flop_per_row()
     least = 0.70 if precision == "float32" else None
     steps = 2 * SEGMENT * LABELS

@@ -17,7 +17,7 @@ import torch
 
 from benchmarks.lines import Line, in_turns, one_core
 from rrm.agents.sac import Sac
-from rrm.config import AgentConfig
+from rrm.config import SacConfig
 from rrm.envs import Spaces
 from rrm.nets.precision import multiplies
 from rrm.nets.program import Work
@@ -46,12 +46,12 @@ def lines() -> list[Line]:
     with one_core():
         return [
             _line(config, precision)
-            for config in (AgentConfig(), AgentConfig(hidden=128, batch=128))
+            for config in (SacConfig(), SacConfig(hidden=128, batch=128))
             for precision in precisions
         ]
 
 
-def _line(config: AgentConfig, precision: Precision) -> Line:
+def _line(config: SacConfig, precision: Precision) -> Line:
     others = peers(config)
     update_s, products_s, *peer_s = in_turns(
         agent_update(config, precision), best_products(config, precision), *others.values()
@@ -66,7 +66,7 @@ def _line(config: AgentConfig, precision: Precision) -> Line:
     )  # fmt: skip
 
 
-def update_flop(config: AgentConfig) -> float:
+def update_flop(config: SacConfig) -> float:
     """Floating-point operations of the matrix products of one update; all else is left out."""
 
     def layers(first: int, last: int) -> tuple[int, int, int]:
@@ -80,7 +80,7 @@ def update_flop(config: AgentConfig) -> float:
     return 2.0 * config.batch * (critic_step + actor_step)
 
 
-def agent_update(config: AgentConfig, precision: Precision) -> Callable[[], None]:
+def agent_update(config: SacConfig, precision: Precision) -> Callable[[], None]:
     """An agent's update on random data."""
     sac, batch = Sac(config, Spaces(OBS, ACT), Streams(0), precision=precision), _random_batch(config.batch)
     return lambda: sac.update(batch)
@@ -91,12 +91,12 @@ def _random_batch(rows: int) -> Batch:
     return Batch(obs, torch.rand(rows, ACT) * 2 - 1, torch.zeros(rows), torch.randn(rows), next_obs, torch.ones(rows))
 
 
-def products_flop(config: AgentConfig) -> float:
+def products_flop(config: SacConfig) -> float:
     """Floating-point operations of `best_products`."""
     return 3 * 2.0 * config.batch * config.hidden**2
 
 
-def best_products(config: AgentConfig, precision: Precision) -> Callable[[], None]:
+def best_products(config: SacConfig, precision: Precision) -> Callable[[], None]:
     """The products of a layer between hidden ones, forward and back, each by the library that is the quickest at it; in
     bfloat16 on numbers that are stored so.
     """
@@ -121,7 +121,7 @@ def _quickest(a: torch.Tensor, b: torch.Tensor, precision: Precision) -> Work:
     return works[times.index(min(times))]
 
 
-def peers(config: AgentConfig) -> dict[str, Callable[[], object]]:
+def peers(config: SacConfig) -> dict[str, Callable[[], object]]:
     """Whoever is installed, by name: what does as many updates, `_AT_ONCE` a call, of networks of the same sizes.
 
     Stable-Baselines3 and SBX draw their batches from their replay buffers in it, as their users have it.
@@ -134,7 +134,7 @@ def peers(config: AgentConfig) -> dict[str, Callable[[], object]]:
     return found
 
 
-def _autograd_updates(config: AgentConfig) -> Callable[[], object]:
+def _autograd_updates(config: SacConfig) -> Callable[[], object]:
     """The textbook's, from the networks of an agent of ours."""
     sac, batch = Sac(config, Spaces(OBS, ACT), Streams(0)), _random_batch(config.batch)
     textbook = ReferenceSac(config, sac.actor, sac.critic, fused=True)
@@ -146,14 +146,14 @@ def _autograd_updates(config: AgentConfig) -> Callable[[], object]:
     return work
 
 
-def _stable_baselines_updates(config: AgentConfig) -> Callable[[], object]:
+def _stable_baselines_updates(config: SacConfig) -> Callable[[], object]:
     from stable_baselines3 import SAC
 
     sac = _ready(SAC, config, target_update_interval=config.target_every)
     return lambda: sac.train(_AT_ONCE, config.batch)
 
 
-def _sbx_updates(config: AgentConfig) -> Callable[[], object]:
+def _sbx_updates(config: SacConfig) -> Callable[[], object]:
     import jax
     from sbx import SAC
 
@@ -173,7 +173,7 @@ class _Blank(gym.Env[Any, Any]):
     action_space = gym.spaces.Box(-1, 1, (ACT,), np.float32)
 
 
-def _ready(algorithm: Callable[..., Any], config: AgentConfig, **settings: Any) -> Any:
+def _ready(algorithm: Callable[..., Any], config: SacConfig, **settings: Any) -> Any:
     """An agent of Stable-Baselines3 or its kin with random transitions to learn from."""
     from stable_baselines3.common.logger import configure
 

@@ -12,11 +12,11 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from rrm.config import (
-        AgentConfig,
         EvaluationConfig,
         ExplorationConfig,
         FeedbackConfig,
         RewardConfig,
+        SacConfig,
         TeacherConfig,
     )
     from rrm.envs import TASKS, make
@@ -30,15 +30,26 @@ _HOMES = {
     "RunConfig": "rrm.training.run_config",
     **dict.fromkeys(
         (
-            "AgentConfig", "EvaluationConfig", "ExplorationConfig", "FeedbackConfig", "RewardConfig", "TeacherConfig"
+            "SacConfig", "EvaluationConfig", "ExplorationConfig", "FeedbackConfig", "RewardConfig", "TeacherConfig"
         ), "rrm.config"
     ),
     **dict.fromkeys(("Finished", "LearnedReward", "load", "train"), "rrm.runs"),
 }  # fmt: skip
 
 __all__ = [
-    "TASKS", "AgentConfig", "EvaluationConfig", "ExplorationConfig", "FeedbackConfig", "Finished", "LearnedReward",
-    "RewardConfig", "RunConfig", "TeacherConfig", "load", "make", "train",
+    "TASKS",
+    "EvaluationConfig",
+    "ExplorationConfig",
+    "FeedbackConfig",
+    "Finished",
+    "LearnedReward",
+    "RewardConfig",
+    "RunConfig",
+    "SacConfig",
+    "TeacherConfig",
+    "load",
+    "make",
+    "train",
 ]  # fmt: skip
 
 

@@ -20,7 +20,7 @@ import torch
 
 from rrm import tensors
 from rrm.errors import CheckpointError, ConfigError, MissingResultError, NumericalError
-from rrm.files import UnfitFileError, naming, read_bounded, sync_folder, write_atomically
+from rrm.files import UnfitFileError, naming, open_regular, read_bounded, sync_folder, write_atomically
 from rrm.types import State
 
 #: Of the layout written here; another version is refused with its number.
@@ -134,13 +134,13 @@ class AppendLog:
         """
         read = checksum = 0
         try:
-            with self._path.open("rb") as file:
+            with open_regular(self._path) as file:
                 while block := file.read(min(size - read, _BLOCK // record * record)):
                     read, checksum = read + len(block), zlib.crc32(block, checksum)
                     if len(block) % record:
                         break
                     yield block
-        except FileNotFoundError as error:
+        except (FileNotFoundError, UnfitFileError) as error:
             raise CheckpointError(f"{self._path}: {error.strerror}") from error
         if read != size or checksum != crc:
             raise CheckpointError(f"{self._path}: damaged (its first {size} bytes do not match their checksum)")

@@ -7,9 +7,9 @@ torch or a simulator. `rrm.training.run_config` puts the sections together.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated, Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag
 
 from rrm.errors import ConfigError
 
@@ -66,28 +66,133 @@ class ConfigSection(BaseModel):
 
 
 class AgentConfig(ConfigSection):
-    """SAC (appendix, table of SAC hyper-parameters; what that table leaves open follows B-Pref)."""
+    """What every agent has: how often it learns, and from how much. A step of its own is `action_repeat` of the
+    environment's; every other number of a configuration that counts steps counts the environment's.
+    """
+
+    reads: ClassVar[Literal["state", "frames"]]  #: of an observation
 
     hidden: Count = 256  #: units of each hidden layer, actor and critic
-    layers: Count = 3  #: hidden layers
     batch: Count = 512  #: transitions per update
+    discount: Fraction = 0.99  #: of one of its steps
+    update_every: Count = 1  #: of its steps, per update
+
+    if TYPE_CHECKING:  # a setting, whose one value differs
+
+        @property
+        def kind(self) -> str:
+            """Its name in `rrm.agents.AGENTS`."""
+
+    @property
+    def window(self) -> int:
+        """Consecutive steps of its own that a sample of its batches spans."""
+        return 1
+
+    def updates_at(self, step: int) -> int:
+        """Updates before this step of its own."""
+        return int(step % self.update_every == 0)
+
+    def updates(self, begin: int, end: int) -> int:
+        """Updates before all its steps from `begin` up to `end`."""
+        return max(0, -(-end // self.update_every) - -(-begin // self.update_every))
+
+
+class SacConfig(AgentConfig):
+    """SAC (appendix, table of SAC hyper-parameters; what that table leaves open follows B-Pref)."""
+
+    reads: ClassVar[Literal["state", "frames"]] = "state"
+
+    layers: Count = 3  #: hidden layers
     actor_lr: Positive = 1e-4  #: Adam step size
     critic_lr: Positive = 1e-4  #: Adam step size
     alpha_lr: Positive = 1e-4  #: Adam step size of the log temperature; not in the paper, B-Pref's
     initial_alpha: Positive = 0.1  #: temperature at the start
-    discount: Fraction = 0.99
     tau: Fraction = 0.005  #: share of the critic that enters its target
     target_every: Count = 2  #: updates between two target updates
-    update_every: Count = 1  #: environment steps per update
-    early_steps: NonNegative = 0  #: environment steps at which one update is two; not in the paper
+    early_steps: NonNegative = 0  #: of its steps, at which one update is two; not in the paper
     critic_norm: Literal["none", "layer"] = "none"  #: layer normalisation in the critics; not in the paper
-    kind: Literal["sac"] = "sac"  #: its name in `rrm.agents.AGENTS`
+    kind: Literal["sac"] = "sac"
 
     def updates_at(self, step: int) -> int:
-        """Updates of the agent before this environment step."""
-        if step % self.update_every:
-            return 0
-        return 2 if step < self.early_steps else 1
+        return super().updates_at(step) * (2 if step < self.early_steps else 1)
+
+    def updates(self, begin: int, end: int) -> int:
+        return super().updates(begin, end) + super().updates(begin, min(self.early_steps, end))
+
+
+class DrqConfig(AgentConfig):
+    """DrQ-v2 (Yarats et al. 2021; appendix, table of its hyper-parameters; what that leaves open follows its code)."""
+
+    reads: ClassVar[Literal["state", "frames"]] = "frames"
+
+    kind: Literal["drqv2"]
+    update_every: Count = 2
+    layers: Count = 2  #: hidden layers of actor and critics
+    lr: Positive = 1e-4  #: Adam step size of encoder, actor and critic
+    tau: Fraction = 0.01  #: share of the critic that enters its target
+    n_step: Count = 3  #: of its steps, whose rewards are added up before the critic is asked
+    channels: Count = 32  #: of every convolution
+    strides: Annotated[tuple[Count, ...], Field(strict=False, min_length=1)] = (2, 1, 1, 1)  #: of each, 3 x 3
+    features: Count = 50  #: numbers that actor and critics each make of what the encoder says
+    shift: NonNegative = 4  #: pixels by which pictures are moved at random, at the most, in either direction
+    stddev: Weight = 1.0  #: of the noise of actions at the start
+    last_stddev: Weight = 0.1  #: and at the end
+    stddev_steps: Count = 500_000  #: environment steps from the one to the other, in a line
+    stddev_clip: Positive = 0.3  #: of the noise in updates; "50" in the paper's table is its number of features
+    encoder: Literal["fresh", "imitation"] | None = None  #: at the start; `imitation` is that of the run behind this
+    #: prior, and what None means on it
+    encoder_run: str | None = None  #: identity of that run; filled in by planning
+
+    @property
+    def window(self) -> int:
+        return self.n_step
+
+    @property
+    def looks(self) -> str:
+        """What an encoder lent to another agent must have in common with its own, in words."""
+        return f"{self.channels} channels and strides {list(self.strides)}"
+
+    def encoded(self, height: int, width: int) -> int:
+        """Numbers that the encoder makes of pictures of this size."""
+        for stride in self.strides:
+            height, width = ((side - 3) // stride + 1 for side in (height, width))
+        return self.channels * height * width
+
+
+class DrmConfig(DrqConfig):
+    """DrM (Xu et al. 2024) on DrQ-v2: its authors' settings of sweep-into, with DrQ-v2's `n_step` and `discount`."""
+
+    kind: Literal["drm"]  # type: ignore[assignment]
+    dormant_share: Fraction = 0.025  #: of its layer's mean, below which a unit is dormant
+    target_ratio: Fraction = 0.2  #: of dormant units, below which noise follows its schedule
+    sharpness: Positive = 10.0  #: of the noise, in how far the ratio is above the target
+    perturb_every: Count = 200_000  #: environment steps between two perturbations
+    least_kept: Fraction = 0.2  #: of the weights at a perturbation
+    most_kept: Fraction = 0.9
+    expectile: Fraction = 0.9  #: of the values of data
+    exploitation: Fraction = 0.6  #: lambda: their share in the target
+    dropout: Fraction = 0.01  #: in the critics
+
+
+def _agent_kind(agent: Any) -> str:
+    """Of a section, or of what it is read from: SAC where nothing is said."""
+    return str(agent.get("kind", "sac") if isinstance(agent, dict) else agent.kind)
+
+
+#: The section of an agent, told by its `kind`.
+AnyAgent = Annotated[
+    Annotated[SacConfig, Tag("sac")] | Annotated[DrqConfig, Tag("drqv2")] | Annotated[DrmConfig, Tag("drm")],
+    Discriminator(_agent_kind),
+]
+
+
+class CameraConfig(ConfigSection):
+    """How a task with a camera is looked at; None is as the task has it."""
+
+    view: str | None = None  #: one of the task's
+    size: Annotated[int, Field(ge=1, le=1024)] | None = None  #: pixels of a side
+    stack: Count | None = None  #: newest pictures that an agent sees at once
+    quality: Literal["fast", "full"] = "fast"  #: without shadows, reflections and smooth edges, or with them
 
 
 class LearnerSettings(ConfigSection):
@@ -162,6 +267,7 @@ class RewardConfig(ConfigSection):
     """The reward the agent is trained on, and how it is learned (section 3, appendix "Model structure")."""
 
     learner: str = "pebble"  #: a learner's name, `true`, `prior`, or `file.py:Class`
+    factor: Positive = 1.0  #: of the true reward, where the agent is trained on that; not in the paper
     prior: str | None = None  #: residual on this prior: a name, or `file.py:function`
     prior_digest: str | None = None  #: sha-256 of the user's file behind `prior`; filled in by planning
     learner_digest: str | None = None  #: likewise for `learner`
@@ -179,6 +285,7 @@ class RewardConfig(ConfigSection):
     #: over their deviation, at least 0.05, before the first training
     minibatch: Count = 128  #: labelled pairs per gradient step
     epochs: Count = 10  #: passes over all labels per session at the most
+    most_steps: Count | None = None  #: gradient steps per session at the most
     target_accuracy: Fraction = 0.97  #: stop after an epoch above it; 1 never stops early
     capacity: Count = 10_000  #: newest labels kept
     surf: SurfConfig = SurfConfig()  #: of the learner `surf`

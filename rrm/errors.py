@@ -48,6 +48,10 @@ class CheckpointError(RrmError):
     """A checkpoint that is missing or torn."""
 
 
+class RenderingError(RrmError):
+    """No OpenGL to draw pictures with; the message says what is missing and what to install."""
+
+
 class NumericalError(RrmError):
     """A reward, action or loss that is not finite."""
 

@@ -18,8 +18,8 @@ if TYPE_CHECKING:
     from rrm.types import Batch, Floats, Obs, Segments, State
 
 __all__ = [
-    "Agent", "Answer", "CriticAgent", "Feedback", "Needs", "Query", "RewardFunction", "RewardLearner", "SegmentRef",
-    "Stateful", "StochasticAgent", "Teacher",
+    "Agent", "Answer", "CriticAgent", "Feedback", "FrameEncoder", "Needs", "Query", "RewardFunction", "RewardLearner",
+    "SegmentRef", "Stateful", "StochasticAgent", "Teacher", "VisualAgent",
 ]  # fmt: skip
 
 
@@ -40,6 +40,9 @@ class Agent(Stateful, Protocol):
     """
 
     updates: int  #: finished so far
+
+    def at(self, step: int) -> None:
+        """Told of the environment's step that comes next, before it acts there or learns."""
 
     def act(self, obs: Obs, *, explore: bool) -> Floats:
         """Action float32 [A] for one observation: a sample when exploring, else the deterministic one."""
@@ -80,6 +83,30 @@ class StochasticAgent(Agent, Protocol):
 
     def log_prob(self, obs: Tensor, act: Tensor) -> Tensor:
         """Log density of any actions [B, A] at obs [B, O], without gradient: float32 [B], nats, finite."""
+
+
+class FrameEncoder(Protocol):
+    """What makes features of frames."""
+
+    flat: Tensor  #: its parameters
+    outputs: int  #: features, R
+
+    def encode(self, frames: Tensor) -> Tensor:
+        """Float32 [B, R] of uint8 [B, stack, channels, height, width], without gradient."""
+
+    def frozen(self) -> FrameEncoder:
+        """A copy that does not change any more."""
+
+
+class VisualAgent(Agent, Protocol):
+    """An agent that sees frames, by an encoder that a learned reward may borrow."""
+
+    @property
+    def encoder(self) -> FrameEncoder:
+        """As it is now."""
+
+    def log_prob(self, frames: Tensor, act: Tensor) -> Tensor:
+        """Of any actions [B, A] on seeing frames uint8 [B, stack, channels, height, width], float32 [B], nats."""
 
 
 class RewardFunction(Stateful, Protocol):

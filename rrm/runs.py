@@ -100,7 +100,8 @@ class Finished:
 
     def evaluate(self, episodes: int = 10, seed: int = 0) -> Evaluation:
         """Play episodes of the run's task, whose instances follow from the seed."""
-        env = Observer(self.config.task, self.config.horizon)
+        config = self.config
+        env = Observer(config.task, config.horizon, config.spaces.frames, config.action_repeat)
         try:
             return evaluate(self.agent, env, EvaluationConfig(episodes=episodes), seed=seed, step=0)
         finally:

@@ -1,12 +1,12 @@
 """One seed becomes named, independent random streams, each of which can be saved.
 
 One more draw in one place must not shift the others, so every purpose has a stream of its own. The streams in use:
-`env` (resets), `explore` (random and policy actions), `agent` (update noise), `replay` (batches), `init` and
-`reward-init` (weights of the agent and of the reward), `reward` (minibatches and crops of reward learning), `query`
-(segment pairs), `unlabelled` (pairs nobody is asked about), `lookahead` (actions imagined by a learner that asks the
-agent for its targets), `teacher` (label noise), `prior` (random priors), `imitation-init` (weights of the
-discriminator), `imitation` (its minibatches, the expert's and the policy's), `demonstrations` (instances that an expert
-is shown).
+`env` (resets), `explore` (random and policy actions), `agent` (update noise), `shift` (how far pictures are moved),
+`replay` (batches), `init` and `reward-init` (weights of the agent and of the reward), `reward` (minibatches and crops
+of reward learning), `query` (segment pairs), `unlabelled` (pairs nobody is asked about), `lookahead` (actions imagined
+by a learner that asks the agent for its targets), `teacher` (label noise), `prior` (random priors), `imitation-init`
+(weights of the discriminator), `imitation` (its minibatches, the expert's and the policy's), `demonstrations`
+(instances that an expert is shown).
 Evaluation draws from `evaluation_seed` and never from a stream of training.
 """
 

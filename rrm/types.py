@@ -26,16 +26,15 @@ class Obs(NamedTuple):
     """What an agent acts on."""
 
     state: Floats  #: [O]
-    frames: Pixels | None = None  #: the newest ones [stack, height, width, channels] on tasks with a camera
-
-    @property
-    def newest(self) -> Pixels | None:
-        """The picture of this state, where there is one."""
-        return None if self.frames is None else self.frames[-1]
+    frames: Pixels | None = None  #: the newest ones [stack, channels, height, width] on tasks with a camera
 
 
 class Batch(NamedTuple):
-    """Transitions for one agent update. It has no true reward: that column is read by teachers and evaluation alone."""
+    """Transitions for one agent update. It has no true reward: that column is read by teachers and evaluation alone.
+
+    Agents that see frames get windows of T consecutive steps of an episode: `B` is then `B, T`, but for the frames.
+    Those of a transition are as of T = 1.
+    """
 
     obs: Tensor  #: float32 [B, O]
     act: Tensor  #: float32 [B, A], in [-1, 1]
@@ -43,8 +42,7 @@ class Batch(NamedTuple):
     reward: Tensor  #: float32 [B], what the agent is trained on
     next_obs: Tensor  #: float32 [B, O]
     continues: Tensor  #: float32 [B], 0 where the task terminated (a time limit is not a termination), else 1
-    frames: Tensor | None = None  #: uint8 [B, stack, height, width, channels] on tasks with a camera
-    next_frames: Tensor | None = None  #: likewise, one step later
+    frames: Tensor | None = None  #: uint8 [B, stack + T, channels, height, width]: the stack at the first step, and on
 
 
 class Segments(NamedTuple):
@@ -66,8 +64,8 @@ class Transition(NamedTuple):
     true_reward: float
     terminated: bool  #: cuts the bootstrap
     truncated: bool  #: a time limit, which does not
-    frame: Pixels | None = None  #: at `obs`, [height, width, channels] on tasks with a camera
-    next_frame: Pixels | None = None  #: at `next_obs`
+    frames: Pixels | None = None  #: seen at `obs`, [stack, channels, height, width] on tasks with a camera
+    next_frames: Pixels | None = None  #: at `next_obs`
 
 
 class Evaluation(NamedTuple):

@@ -32,14 +32,15 @@ KNOW_RRM = {
         "planning.grid",
         "planning.prerequisites",
     ),  # names and settings become configurations
-    "running.experts",  # collects demonstrations that people ask for
+    "planning.cost",  # agents differ in what an update of theirs costs
+    *("running.experts", "running.pictures"),  # demonstrations that people ask for, and what an agent sees
     *("running.config_file", "running.worker"),  # a configuration's way into the process that trains
     "cli.prior",  # candidates of a language model become priors of the library
 }
 #: Light, and the one place for what they say: the version, tasks and how they are scored, errors, files, the machine.
 FACTS = {
     *("rrm", "rrm.envs.tasks", "rrm.errors", "rrm.files", "rrm.parquet", "rrm.environ", "rrm.toml"),
-    *("rrm.hardware", "rrm.precision", "rrm.tuning"),
+    *("rrm.hardware", "rrm.precision", "rrm.tuning", "rrm.rendering"),
 }
 
 #: Floors of either package: a module imports from floors below its own, or from its own room (the first part of its
@@ -52,8 +53,8 @@ FLOORS = {
         "priors": 5, "sources": 5,
         "imitation": 4, "teachers": 4, "queries": 4,
         "agents": 3, "rewards": 3,
-        "buffers": 2,
-        "envs": 1, "nets": 1, "losses": 1,
+        "buffers": 2, "nets": 2,
+        "envs": 1, "losses": 1,
     },
     "rrmctl": {
         "__main__": 6,
@@ -151,7 +152,7 @@ def test_few_modules_of_the_program_know_the_library() -> None:
 def test_python_is_started_in_one_way() -> None:
     """Whoever starts a process gives it the environment of `rrm.environ`: no file that lies around is a module."""
     starting = {name for name in MODULES if "subprocess" in imports(name)} - {"rrmctl.running.supervisor"}
-    assert starting == {name for name in MODULES if "rrm.environ" in imports(name)} - {"rrmctl.cli.app"}
+    assert starting - {"rrm.environ"} <= {name for name in MODULES if "rrm.environ" in imports(name)}
 
 
 def test_statistics_stand_alone() -> None:

@@ -16,14 +16,15 @@ from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 from rich.console import Console
 
+from benchmarks import drqv2_update
 from benchmarks.__main__ import table
 from benchmarks.lines import Line, one_core
 from benchmarks.sac_update import best_products, peers
-from rrm.config import AgentConfig
+from rrm.config import DrqConfig, SacConfig
 from rrm.hardware import cpu_model
 
 ROOT = Path(__file__).parents[1]
-TINY = AgentConfig(hidden=8, layers=1, batch=8)
+TINY = SacConfig(hidden=8, layers=1, batch=8)
 
 
 @pytest.mark.parametrize(
@@ -84,6 +85,23 @@ def test_who_is_installed_takes_part() -> None:
     for work in works.values():
         work()
     best_products(TINY, "float32")()
+
+
+@pytest.mark.slow
+def test_an_update_from_frames_is_timed(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Beside plain autograd; the authors' code takes part where its folder is named."""
+    monkeypatch.delenv("DRQV2", raising=False)
+    tiny = DrqConfig(kind="drqv2", channels=2, strides=(2, 2), hidden=8, batch=2)
+    for line in drqv2_update.lines((tiny,), budget=0.001):
+        assert list(line.peers) == ["autograd"]
+        assert line.ours > 0
+        assert line.floor is not None
+
+
+def test_a_folder_without_the_authors_code_is_refused(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setenv("DRQV2", str(tmp_path))
+    with pytest.raises(ValueError, match=r"no drqv2\.py in .*; clone https"):
+        drqv2_update.authors(drqv2_update.PAPER, 0.1)
 
 
 def test_what_is_asked_for_is_pinned() -> None:

@@ -16,7 +16,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from rrm.errors import CheckpointError, NumericalError
+from rrm.agents.checks import finite_action, finite_figures, restore
 from rrm.losses import squashed_gaussian_log_prob
 from rrm.nets.adam import FlatAdam
 from rrm.nets.mlp import Memory, Pass, StackedMLP
@@ -24,8 +24,8 @@ from rrm.nets.mlp import Memory, Pass, StackedMLP
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from rrm.config import AgentConfig
-    from rrm.envs.tasks import Spaces
+    from rrm.config import SacConfig
+    from rrm.envs.spaces import Spaces
     from rrm.precision import Precision
     from rrm.seeding import Streams
     from rrm.types import Batch, Floats, Obs, State
@@ -130,7 +130,7 @@ class Sac:
 
     def __init__(
         self,
-        config: AgentConfig,
+        config: SacConfig,
         spaces: Spaces,
         streams: Streams,
         *,
@@ -175,6 +175,9 @@ class Sac:
         self._space = _Workspace(self.actor, self.critic, self.target, config.batch)
         self._last: tuple[Any, ...] | None = None  # what the figures of the last update are made of
 
+    def at(self, step: int) -> None:
+        """Nothing of it depends on the step."""
+
     @torch.no_grad()
     def act(self, obs: Obs, *, explore: bool) -> Floats:
         self._acting(torch.as_tensor(obs.state, dtype=torch.float32))
@@ -182,13 +185,7 @@ class Sac:
             self._acts.draw(self._explore)
         act = self._acts.actions if explore else torch.tanh(self._acting.outputs[0, : self.act_dim])
         action: Floats = act[:, 0].clamp(-1, 1).cpu().numpy()
-        if not np.isfinite(action).all():
-            raise NumericalError(
-                f"the action after {self.updates} updates is {action.tolist()} for the observation "
-                f"{obs.state.tolist()}; look for rewards or observations that are not finite, then for step sizes "
-                "that are too large"
-            )
-        return action
+        return finite_action(action, self.updates, f"the observation {obs.state.tolist()}")
 
     @torch.no_grad()
     def log_prob(self, obs: Tensor, act: Tensor) -> Tensor:
@@ -269,10 +266,7 @@ class Sac:
 
     def figures(self) -> dict[str, float]:
         self._take_figures()
-        figures = dict(zip(_FIGURES, self._figures.tolist(), strict=True))
-        if self.updates and not all(map(math.isfinite, figures.values())):
-            raise NumericalError(f"a figure of the agent is not finite: {figures}")
-        return figures
+        return finite_figures(dict(zip(_FIGURES, self._figures.tolist(), strict=True)), self.updates)
 
     def weights(self) -> State:
         return {"actor": self.actor.flat, "critic": self.critic.flat}
@@ -295,14 +289,7 @@ class Sac:
 
     def load_state_dict(self, state: State) -> None:
         """Continue where `state_dict` was taken; the streams are restored by whoever owns them."""
-        for name, tensor in self._tensors.items():
-            saved = state["tensors"][name]
-            if saved.shape != tensor.shape:
-                raise CheckpointError(
-                    f"the saved agent's {name} has shape {tuple(saved.shape)}, this agent's has {tuple(tensor.shape)}; "
-                    "load it with the configuration and task it was trained with"
-                )
-            tensor.copy_(saved)
+        restore(self._tensors, state["tensors"])
         for name, adam in self._adams.items():
             adam.load_state_dict(state["optimisers"][name])
         self._last = None

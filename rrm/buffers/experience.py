@@ -26,12 +26,13 @@ from rrm.checkpoint import KEPT, AppendLog
 from rrm.types import Batch, Segments, Transition
 
 if TYPE_CHECKING:
-    from rrm.envs.tasks import Spaces
+    from rrm.envs.spaces import Spaces
     from rrm.types import Floats, State
 
 #: What a row is; _END is the observation behind an episode's last step.
 _STEP, _TERMINATED, _TRUNCATED, _END = range(4)
 _LOGGED = ("obs", "act", "prior", "raw_prior", "true_reward", "kind")
+_FRAMES = "frames.bin"
 _RELABEL_ROWS = 1 << 11  # keeps the activations of the reward ensemble within the caches' reach
 
 
@@ -45,8 +46,12 @@ class Episode(NamedTuple):
 class Experience:
     """Transitions of one run; rows are appended, only the learned reward changes."""
 
-    def __init__(self, steps: int, horizon: int, spaces: Spaces) -> None:
-        """Args: steps: transitions to make room for; horizon: of an episode that does not end before its time."""
+    def __init__(self, steps: int, horizon: int, spaces: Spaces, window: int = 1) -> None:
+        """Args:
+        steps: transitions to make room for.
+        horizon: of an episode that does not end before its time.
+        window: consecutive steps that are drawn together, see `windows`.
+        """
         rows = steps + steps // horizon + 2  # memory is touched only as they come
         self.obs = torch.empty(rows, spaces.obs)
         self.act = torch.empty(rows, spaces.act)
@@ -61,8 +66,12 @@ class Experience:
         self._saved_generations = deque([0], maxlen=KEPT)  # of the kept checkpoints
         self._logs: tuple[AppendLog, AppendLog] | None = None
         self.frames = None if spaces.frames is None else Frames(spaces.frames)
+        self.seen: Callable[[Tensor], Tensor] = self._observed  #: what a learned reward is shown of rows [..., T]
         self._row_of = torch.empty(steps, dtype=torch.int64)
         self.transitions = 0
+        self.window = window
+        self._window_of = torch.empty(steps, dtype=torch.int64)  # the row at which a window begins
+        self.windows = 0  #: of `window` steps in one episode there are so many
         self.episodes: list[Episode] = []
         self._episode_start = 0
 
@@ -88,14 +97,11 @@ class Experience:
         self.reward[row] = reward
         self.kind[row] = _TERMINATED if step.terminated else _TRUNCATED if step.truncated else _STEP
         obs[row + 1] = step.next_obs
-        if self.frames is not None and step.frame is not None and step.next_frame is not None:
+        if self.frames is not None and step.frames is not None and step.next_frames is not None:
             if len(self.frames) == row:  # an episode begins
-                self.frames.append(step.frame)
-            self.frames.append(step.next_frame)
-        if self.transitions == len(self._row_of):
-            self._row_of = torch.cat((self._row_of, torch.empty_like(self._row_of)))
-        self._row_of[self.transitions] = row
-        self.transitions += 1
+                self.frames.append(step.frames[-1])
+            self.frames.append(step.next_frames[-1])
+        self._number(row)
         self.rows = row + 1
         if step.terminated or step.truncated:
             self.kind[row + 1] = _END
@@ -104,12 +110,38 @@ class Experience:
             self.episodes.append(Episode(self._episode_start, row + 1 - self._episode_start))
             self._episode_start = self.rows = row + 2
 
+    def _number(self, row: int) -> None:
+        """Count the transition at this row, and the window that it completes."""
+        if self.transitions == len(self._row_of):
+            self._row_of, self._window_of = (
+                torch.cat((rows, torch.empty_like(rows))) for rows in (self._row_of, self._window_of)
+            )
+        self._row_of[self.transitions] = row
+        self.transitions += 1
+        if (begin := row - self.window + 1) >= self._episode_start:
+            self._window_of[self.windows] = begin
+            self.windows += 1
+
     def batch(self, numbers: Tensor, *, time_limits_end: bool = False) -> Batch:
         """The transitions of these numbers [B], counted from 0 in the order in which they were lived.
 
         Args: time_limits_end: take a time limit for a termination in `continues`.
         """
         rows = self._row_of[numbers]
+        return self._filmed(rows, 1, self._batch(rows, time_limits_end=time_limits_end))
+
+    def batch_of_windows(self, numbers: Tensor) -> Batch:
+        """The windows of these numbers [B], counted likewise: every field has the axes [B, window], but for frames."""
+        rows = self._window_of[numbers]
+        return self._filmed(rows, self.window, self._batch(rows[:, None] + torch.arange(self.window)))
+
+    def _filmed(self, rows: Tensor, steps: int, batch: Batch) -> Batch:
+        """The batch of so many steps from each of `rows` [B] on, with what was seen before, between and behind them."""
+        if self.frames is None:
+            return batch
+        return batch._replace(frames=self.frames.windows(rows.tolist(), self._depth(rows).tolist(), steps + 1))
+
+    def _batch(self, rows: Tensor, *, time_limits_end: bool = False) -> Batch:
         kind = self.kind[rows]
         on = kind == _STEP if time_limits_end else kind != _TERMINATED
         return Batch(
@@ -119,19 +151,30 @@ class Experience:
             reward=self.reward[rows],
             next_obs=self.obs[rows + 1],
             continues=on.float(),
-            frames=self._stacks(rows),
-            next_frames=self._stacks(rows + 1),
         )
 
-    def _stacks(self, rows: Tensor) -> Tensor | None:
-        """The newest frames at rows [B], oldest first; the first of an episode stands for those before it."""
-        if self.frames is None:
-            return None
-        backwards = [rows]
-        for _ in range(self.frames.stack - 1):
-            before = (backwards[-1] - 1).clamp(min=0)
-            backwards.append(torch.where(self.kind[before] == _END, backwards[-1], before))
-        return self.frames[torch.stack(backwards[::-1], dim=1)]
+    def stacks(self, begin: int, end: int) -> Tensor:
+        """What was seen at the rows from `begin` up to `end`, uint8 [rows, stack, channels, height, width]."""
+        frames = self._some_frames
+        first = max(begin - frames.stack + 1, 0)
+        pictures = np.empty((end - first, *frames.shape), np.uint8)
+        frames.read(first, pictures)
+        rows = torch.arange(begin, end)
+        back = torch.arange(frames.stack - 1, -1, -1)
+        return torch.from_numpy(pictures)[rows[:, None] - torch.minimum(back, self._depth(rows)[:, None]) - first]
+
+    def _depth(self, rows: Tensor) -> Tensor:
+        """How many of the pictures of a stack lie before its row, int64 [B]."""
+        depth, inside = torch.zeros_like(rows), torch.ones_like(rows, dtype=torch.bool)
+        for back in range(1, self._some_frames.stack):
+            inside &= (rows >= back) & (self.kind[(rows - back).clamp(min=0)] != _END)
+            depth += inside
+        return depth
+
+    @property
+    def _some_frames(self) -> Frames:
+        assert self.frames is not None  # nobody looks where there is no camera
+        return self.frames
 
     def since(self, transition: int) -> Tensor:
         """Rows of the transitions from number `transition` on."""
@@ -140,7 +183,10 @@ class Experience:
     def segments(self, starts: Tensor, length: int) -> Segments:
         """The `length` steps from each row of `starts` [...] on; every field starts with the axes [..., length]."""
         rows = starts.unsqueeze(-1) + torch.arange(length)
-        return Segments(self.obs[rows], self.act[rows], self.prior[rows])
+        return Segments(self.seen(rows), self.act[rows], self.prior[rows])
+
+    def _observed(self, rows: Tensor) -> Tensor:
+        return self.obs[rows]
 
     def true_rewards(self, starts: npt.NDArray[np.int64], length: int) -> Floats:
         """True reward of the same steps, float32 [..., length]. For teachers and evaluation alone."""
@@ -151,10 +197,11 @@ class Experience:
         return self.reward.numpy()[starts[..., None] + np.arange(length)]
 
     def relabel(self, predict: Callable[[Tensor, Tensor, Tensor], Tensor]) -> None:
-        """Rewrite the reward of every row by `predict(obs, act, prior)`, with the prior as it was stored."""
+        """Rewrite the reward of every row by `predict(seen, act, prior)`, with the prior as it was stored."""
         for begin in range(0, self.rows, _RELABEL_ROWS):
             part = slice(begin, min(begin + _RELABEL_ROWS, self.rows))
-            self.reward[part] = predict(self.obs[part], self.act[part], self.prior[part])
+            seen = self.seen(torch.arange(part.start, part.stop))
+            self.reward[part] = predict(seen, self.act[part], self.prior[part])
         self.generation += 1
 
     def save(self, folder: Path) -> State:
@@ -181,7 +228,7 @@ class Experience:
             "rewards": [rewards.size, rewards.crc],
             "next_obs": self.obs[self.rows].clone(),
         }
-        return state if self.frames is None else state | {"frames": self.frames.save(folder)}
+        return state if self.frames is None else state | {"frames": self.frames.save(folder / _FRAMES)}
 
     def load(self, folder: Path, state: State) -> None:
         """Continue from what `save` returned, on an empty experience; a `CheckpointError` where the logs lack it."""
@@ -203,14 +250,17 @@ class Experience:
         self._saved_generations = deque([self.generation], maxlen=KEPT)
         self.obs[self.rows] = state["next_obs"]
         if self.frames is not None:
-            self.frames.load(folder, state["frames"])
+            self.frames.load(folder / _FRAMES, state["frames"])
         kinds = self.kind[: self.rows].numpy()
         steps, ends = np.flatnonzero(kinds != _END), np.flatnonzero(kinds == _END)
-        self.transitions = len(steps)
+        starts = np.concatenate([[0], ends + 1])
+        self.episodes = [Episode(int(s), int(e - s)) for s, e in zip(starts[:-1], ends, strict=True)]
+        self._episode_start = int(starts[-1])
+        begins = steps - self.window + 1
+        windows = begins[begins >= starts[np.searchsorted(ends, steps)]]
+        self.transitions, self.windows = len(steps), len(windows)
         self._row_of = torch.cat((torch.from_numpy(steps), self._row_of[self.transitions :]))
-        starts = np.concatenate([[0], ends[:-1] + 1]) if len(ends) else ends
-        self.episodes = [Episode(int(s), int(e - s)) for s, e in zip(starts, ends, strict=True)]
-        self._episode_start = int(ends[-1]) + 1 if len(ends) else 0
+        self._window_of = torch.cat((torch.from_numpy(windows), self._window_of[self.windows :]))
 
     def discard(self, folder: Path) -> None:
         """Remove reward columns of generations that no kept checkpoint refers to, once the newest is committed."""

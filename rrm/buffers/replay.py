@@ -9,17 +9,29 @@ import torch
 from rrm.types import Batch
 
 if TYPE_CHECKING:
+    from torch import Tensor
+
     from rrm.buffers.experience import Experience
 
 
 class Replay:
     """Uniform draws from the experience, with replacement."""
 
-    def __init__(self, experience: Experience, batch: int, generator: torch.Generator) -> None:
-        """Args: batch: transitions of an agent's update; generator: the stream that draws them."""
+    def __init__(self, experience: Experience, batch: int, generator: torch.Generator, repeat: int = 1) -> None:
+        """Args:
+        batch: transitions of an agent's update.
+        generator: the stream that draws them.
+        repeat: environment steps of a transition.
+        """
         self._experience = experience
         self._size = batch
         self._generator = generator
+        self._repeat = repeat
+
+    @property
+    def steps(self) -> int:
+        """Environment steps that are stored."""
+        return self.transitions * self._repeat
 
     @property
     def transitions(self) -> int:
@@ -27,8 +39,14 @@ class Replay:
         return self._experience.transitions
 
     def sample(self, *, time_limits_end: bool = False) -> Batch:
-        """The transitions of an agent's update; `time_limits_end` as in `Experience.batch`."""
-        return self.draw(self._size, self._generator, time_limits_end=time_limits_end)
+        """What an update of the agent sees: transitions, or windows of them for an agent that sees frames.
+
+        `time_limits_end` as in `Experience.batch`, of transitions alone.
+        """
+        if self._experience.frames is None:
+            return self.draw(self._size, self._generator, time_limits_end=time_limits_end)
+        numbers = torch.randint(self._experience.windows, (self._size,), generator=self._generator)
+        return self._experience.batch_of_windows(numbers)
 
     def draw(
         self, count: int, generator: torch.Generator, *, newest: int | None = None, time_limits_end: bool = False
@@ -38,10 +56,6 @@ class Replay:
         numbers = torch.randint(first, self.transitions, (count,), generator=generator)
         return self._experience.batch(numbers, time_limits_end=time_limits_end)
 
-    def spread(self, count: int) -> Batch:
-        """`count` transitions, evenly over all there are; some twice where there are fewer."""
-        return self._experience.batch(torch.arange(count) * self.transitions // count)
-
-    def newest(self, count: int) -> Batch:
-        """The last `count` transitions, or all where there are fewer, in order."""
-        return self._experience.batch(torch.arange(max(0, self.transitions - count), self.transitions))
+    def batch(self, numbers: Tensor) -> Batch:
+        """Transitions by number, int64 [B], counted from 0 in the order in which they were lived."""
+        return self._experience.batch(numbers)

@@ -6,7 +6,8 @@ is loaded already, importing this package does so.
 
 import sys
 
-from rrm.envs.tasks import TASKS, FrameSpace, Spaces, Task, make, task
+from rrm.envs.spaces import FrameSpace, Spaces
+from rrm.envs.tasks import TASKS, Task, make, task
 
 __all__ = ["TASKS", "FrameSpace", "Spaces", "Task", "make", "register", "task"]
 

@@ -6,7 +6,7 @@ An environment fills in four methods: draw an episode, advance by one step, save
 from __future__ import annotations
 
 from abc import abstractmethod
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import gymnasium
 import numpy as np
@@ -16,6 +16,9 @@ from gymnasium.spaces import Box
 
 from rrm.errors import ConfigError, NumericalError
 from rrm.types import Floats, Pixels, State
+
+if TYPE_CHECKING:
+    from rrm.envs.spaces import FrameSpace
 
 Doubles = npt.NDArray[np.float64]
 
@@ -96,8 +99,8 @@ class TaskEnv(gymnasium.Env[Floats, Floats]):
         self._steps += 1
         return np.array(obs, dtype=np.float32), float(reward), False, self._steps >= self.horizon, info
 
-    def frame(self) -> Pixels:
-        """The camera's picture of the simulator as it is, of the task's `FrameSpace`; overridden where there is one."""
+    def frame(self, space: FrameSpace) -> Pixels:  # noqa: ARG002 (the seam of others)
+        """A camera's picture of the simulator as it is, [height, width, channels]; overridden where there is one."""
         raise TypeError(f"{type(self).__name__} has no camera")
 
     def state_dict(self) -> State:

@@ -21,9 +21,11 @@ import numpy as np
 from metaworld.sawyer_xyz_env import SawyerXYZEnv
 
 from rrm.envs.base import MUJOCO_BOUND, Doubles, TaskEnv
+from rrm.envs.camera import Camera
+from rrm.envs.spaces import FrameSpace
 from rrm.envs.tasks import task as task_of
 from rrm.errors import ConfigError, NumericalError, UnknownNameError
-from rrm.types import Floats, State
+from rrm.types import Floats, Pixels, State
 
 #: Everything that integration depends on, the solver's warm start included.
 _SPEC = mujoco.mjtState.mjSTATE_INTEGRATION
@@ -33,9 +35,11 @@ _LONGEST = int(SawyerXYZEnv.max_path_length)
 class MetaWorldEnv(TaskEnv):
     """A task by its name there, "button-press-v3": 39 numbers in, 4 out (hand velocity in x, y, z; gripper effort)."""
 
+    obs_dim = 39
+
     def __init__(self, task: str, horizon: int = _LONGEST, render_mode: str | None = None) -> None:
         super().__init__(
-            -MUJOCO_BOUND, MUJOCO_BOUND, obs_dim=39, act_dim=4, horizon=horizon, render_mode=render_mode
+            -MUJOCO_BOUND, MUJOCO_BOUND, obs_dim=self.obs_dim, act_dim=4, horizon=horizon, render_mode=render_mode
         )  # fmt: skip
         if horizon > _LONGEST:
             raise ConfigError(f"horizon is {horizon}; Meta-World's episodes have {_LONGEST} steps at the most")
@@ -102,13 +106,56 @@ class MetaWorldEnv(TaskEnv):
         self.sim.close()
 
 
+class MetaWorldImageEnv(MetaWorldEnv):
+    """The same task with a camera, and what its robot knows without looking: 10 numbers in.
+
+    0:3 the hand, 3 the opening of its gripper, 4:7 where the object was when the episode began, 7:10 the goal. Views
+    are Meta-World's cameras.
+    """
+
+    obs_dim = 10
+
+    def __init__(self, task: str, horizon: int = _LONGEST, render_mode: str | None = None) -> None:
+        super().__init__(task, horizon, render_mode)
+        self.full_obs: Floats = np.zeros(39, np.float32)  #: what the task's other half, without a camera, shows now
+        self._object_start = np.zeros(3)
+        self._camera = Camera(self.sim.model)
+
+    def _start(self, vector: Doubles) -> Doubles:
+        full = super()._start(vector)
+        self._object_start = full[4:7].copy()
+        return self._known(full)
+
+    def _known(self, full: Doubles) -> Doubles:
+        self.full_obs = full.astype(np.float32)
+        return np.concatenate((full[:4], self._object_start, full[36:]))
+
+    def _advance(self, action: Doubles) -> tuple[Doubles, float, dict[str, float]]:
+        full, reward, info = super()._advance(action)
+        return self._known(full), reward, info
+
+    def frame(self, space: FrameSpace) -> Pixels:
+        """What a camera sees, upright: Meta-World mounts those in the corners head first."""
+        picture = self._camera.picture(self.sim.data, space)
+        return picture[::-1, ::-1] if space.view.startswith("corner") else picture
+
+    def _save(self) -> State:
+        return super()._save() | {"full_obs": self.full_obs}
+
+    def _restore(self, state: State) -> None:
+        super()._restore(state)
+        self.full_obs = np.array(state["full_obs"], np.float32)
+
+    def close(self) -> None:
+        self._camera.close()
+        super().close()
+
+
 def scripted_policy(name: str) -> Callable[[Floats], Floats]:
     """The policy that Meta-World ships for a task: from observation to action, both float32; actions may exceed 1."""
     spec = task_of(name)
     if spec.suite != "metaworld":
-        raise ConfigError(
-            f"{name} has no scripted policy: only Meta-World ships them, and this is of suite {spec.suite}"
-        )
+        raise ConfigError(f"{name} has no scripted policy: Meta-World ships them for its own observations alone")
     from metaworld.policies import ENV_POLICY_MAP
 
     policy: Any = ENV_POLICY_MAP[spec.kwargs["task"]]()  # type: ignore[abstract]  # each entry is a finished class

@@ -7,51 +7,69 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from rrm.envs.tasks import make, task
+from rrm.envs.tasks import make
 from rrm.types import Obs
 
 if TYPE_CHECKING:
+    from rrm.envs.spaces import FrameSpace
     from rrm.types import Floats, Pixels, State
 
 
 class Observer:
-    """An environment whose observations are an agent's.
+    """An environment whose observations are an agent's, and whose steps are.
 
     Priors, teachers and rewards read the state alone; a camera looks at what the simulator holds and changes nothing.
     The first frame of an episode stands for those before it.
     """
 
-    def __init__(self, name: str, horizon: int | None = None) -> None:
-        """Args: as for `rrm.envs.make`. Raises as it does."""
+    def __init__(
+        self, name: str, horizon: int | None = None, frames: FrameSpace | None = None, repeat: int = 1
+    ) -> None:
+        """Args:
+        name, horizon: as for `rrm.envs.make`, which raises as it does.
+        frames: what a camera shows; None where nobody looks.
+        repeat: steps of the environment that one action lasts. Their rewards are added up; one with success is enough.
+        """
         self.env = make(name, horizon=horizon)
-        space = task(name).spaces.frames
-        self._frames: deque[Pixels] | None = None if space is None else deque(maxlen=space.stack)
+        self._space = frames
+        self._repeat = repeat
+        self._frames: deque[Pixels] = deque(maxlen=frames.stack if frames else 0)
 
     def reset(self, seed: int | None = None) -> Obs:
         """Start an episode; a seed restarts the stream from which task instances are drawn."""
         state, _ = self.env.reset(seed=seed)
-        if self._frames is not None:
-            self._frames.extend([self.env.frame()] * self._frames.maxlen)  # type: ignore[operator]  # it has a length
+        if self._space is not None:
+            self._frames.extend([self._frame(self._space)] * self._space.stack)
         return self.seen(state)
 
     def step(self, action: Floats) -> tuple[Obs, float, bool, bool, dict[str, Any]]:
         """One step, as an environment's."""
-        state, reward, terminated, truncated, info = self.env.step(action)
-        if self._frames is not None:
-            self._frames.append(self.env.frame())
-        return self.seen(state), reward, terminated, truncated, info
+        total, success, over = 0.0, -np.inf, False
+        for _ in range(self._repeat):
+            state, reward, terminated, truncated, info = self.env.step(action)
+            total, over = total + reward, terminated or truncated
+            if "success" in info:
+                info["success"] = success = max(success, info["success"])
+            if over:
+                break
+        if self._space is not None:
+            self._frames.append(self._frame(self._space))
+        return self.seen(state), total, terminated, truncated, info
+
+    def _frame(self, space: FrameSpace) -> Pixels:
+        return np.ascontiguousarray(self.env.frame(space).transpose(2, 0, 1))
 
     def seen(self, state: Floats) -> Obs:
         """A state with the frames up to it."""
-        return Obs(state, None if self._frames is None else np.stack(self._frames))
+        return Obs(state, None if self._space is None else np.stack(self._frames))
 
     def state_dict(self) -> State:
         state = self.env.state_dict()
-        return state if self._frames is None else {"env": state, "frames": np.stack(self._frames)}
+        return state if self._space is None else {"env": state, "frames": np.stack(self._frames)}
 
     def load_state_dict(self, state: State) -> None:
         """Continue where `state_dict` was taken. Frames are kept, since another machine may draw them otherwise."""
-        if self._frames is not None:
+        if self._space is not None:
             self._frames.extend(state["frames"])
             state = state["env"]
         self.env.load_state_dict(state)

@@ -1,7 +1,9 @@
 """The one place that says what each task is and what the named features of its observations are.
 
-A feature is a position in metres (`hand`, `object`, `goal`), the uprightness of the torso (`upright`, the z component
-of its z axis, in [-1, 1]) or a distance (`clearance`, metres to the nearest obstacle's edge); a task may have others.
+A feature is a position in metres (`hand`, `object`, `goal`; `object_start`, where the object was when the episode
+began), what a robot that looks at pictures knows of itself besides (`proprioception`), the uprightness of the torso
+(`upright`, the z component of its z axis, in [-1, 1]) or a distance (`clearance`, metres to the nearest obstacle's
+edge); a task may have others.
 Priors ask for features by name: nobody else indexes an observation.
 """
 
@@ -9,9 +11,10 @@ from __future__ import annotations
 
 import importlib
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Literal
 
+from rrm.envs.spaces import FrameSpace, Spaces
 from rrm.errors import ConfigError, UnknownNameError
 
 if TYPE_CHECKING:
@@ -27,31 +30,12 @@ ScoreKind = Literal["success", "return"]
 Feature = slice | Callable[["Floats"], Any]
 
 
-@dataclass(frozen=True)
-class FrameSpace:
-    """A camera's pictures, uint8 [height, width, channels], and how many of the newest an agent sees at once."""
-
-    height: int
-    width: int
-    channels: int = 3
-    stack: int = 3
-
-
-@dataclass(frozen=True)
-class Spaces:
-    """What an agent is told of a task before it is made."""
-
-    obs: int  #: length of the observation vector
-    act: int  #: length of the action vector; every action lies in [-1, 1]
-    frames: FrameSpace | None = None  #: None where the task has no camera
-
-
 @dataclass(frozen=True, kw_only=True)
 class Task:
     """What planning, priors and reports need to know of a task without starting its simulator."""
 
     name: str  #: as on the command line
-    suite: str  #: "metaworld", "dmc" or "toy"
+    suite: str  #: "metaworld", "dmc" or "toy", and "-image" behind it where a camera shows what the state does not
     score: ScoreKind  #: what the paper reports for it: success rate, or true return
     horizon: int  #: steps of an episode
     spaces: Spaces
@@ -60,11 +44,18 @@ class Task:
     packages: tuple[str, ...] = ("gymnasium",)  #: distributions that its simulator is made of
     features: Mapping[str, Feature] = field(default_factory=dict)  #: what a prior may ask of an observation, by name
     outcomes: tuple[str, ...] = ()  #: physical quantities after a step, in its `info`, that a prior may read
+    views: tuple[str, ...] = ()  #: cameras there are, where it has any
+    expert: str | None = None  #: the task whose oracle shows how this one is done, where that is another
 
     @property
     def env_id(self) -> str:
         """The gymnasium id under which the task is registered."""
         return f"rrm/{self.name}-v0"
+
+    @property
+    def needs_opengl(self) -> bool:
+        """Whether its pictures are MuJoCo's."""
+        return self.spaces.frames is not None and "mujoco" in self.packages
 
     @property
     def reveals(self) -> tuple[str, ...]:
@@ -90,6 +81,19 @@ def _metaworld(name: str) -> Task:
     )  # fmt: skip
 
 
+#: What a robot knows beside pictures (appendix "Image-based RRM"): not where the object is now.
+_KNOWN = {"hand": slice(0, 3), "proprioception": slice(0, 4), "object_start": slice(4, 7), "goal": slice(7, 10)}
+_CORNERS = ("corner", "corner2", "corner3", "corner4")
+
+
+def _metaworld_image(name: str) -> Task:
+    return replace(
+        _metaworld(name), name=f"{name}-image", suite="metaworld-image", expert=name, features=_KNOWN,
+        entry_point="rrm.envs.metaworld:MetaWorldImageEnv", views=(*_CORNERS, "topview", "behindGripper", "gripperPOV"),
+        spaces=Spaces(10, 4, FrameSpace(64, 64, stack=3, view="corner4")),
+    )  # fmt: skip
+
+
 def _dmc(name: str, spaces: Spaces, upright: int, outcomes: tuple[str, ...]) -> Task:
     domain, _, task_name = name.partition("-")
     return Task(
@@ -107,6 +111,12 @@ _TOY_CAR = Task(
     features={"hand": slice(0, 2), "object": slice(0, 2), "goal": slice(2, 4), "clearance": slice(4, 5)},
 )  # fmt: skip
 
+_TOY_CAR_IMAGE = Task(
+    name="toy-car-image", suite="toy-image", score="success", horizon=100, views=("above",),
+    spaces=Spaces(6, 2, FrameSpace(32, 32, stack=3, view="above")), entry_point="rrm.envs.toy_car_image:ToyCarImageEnv",
+    features={"hand": slice(0, 2), "object": slice(0, 2), "proprioception": slice(0, 4), "goal": slice(4, 6)},
+)  # fmt: skip
+
 #: Every task, by its name on the command line.
 TASKS: dict[str, Task] = {
     t.name: t
@@ -115,6 +125,8 @@ TASKS: dict[str, Task] = {
         _dmc("walker-walk", Spaces(24, 6), upright=0, outcomes=("torso_upright", "torso_height", "forward_velocity")),
         _dmc("quadruped-walk", Spaces(78, 12), upright=47, outcomes=("torso_upright", "forward_velocity")),
         _TOY_CAR,
+        *map(_metaworld_image, ("button-press", "sweep-into")),
+        _TOY_CAR_IMAGE,
     )
 }
 

@@ -8,6 +8,10 @@ limit does not end the bootstrap. The gradient is written out: its only path is 
 
 from __future__ import annotations
 
+import sys
+from collections.abc import Iterable
+from typing import TYPE_CHECKING, cast
+
 import torch
 from torch import Generator, Tensor
 from torch.nn.functional import binary_cross_entropy_with_logits
@@ -18,6 +22,10 @@ from rrm.nets.adam import FlatAdam
 from rrm.nets.mlp import StackedMLP
 from rrm.precision import Precision
 from rrm.types import Batch, State
+
+if TYPE_CHECKING:
+    from rrm.interfaces import Agent, StochasticAgent
+    from rrm.nets.encoder import Encoder
 
 
 class RewardNet:
@@ -54,8 +62,16 @@ class RewardNet:
         return self(torch.cat((obs, act), dim=-1))
 
 
+def joined(expert: Batch, policy: Batch) -> Batch:
+    """Transitions of both, the expert's first."""
+    pairs = zip(expert, policy, strict=True)
+    return Batch(*(None if e is None or p is None else torch.cat((e, p)) for e, p in pairs))  # type: ignore[arg-type]
+
+
 class Discriminator:
     """Reward g and shaping h with one optimiser step for both; what g is trained on is `config.pretrain`."""
+
+    most, at_once = sys.maxsize, 2048  #: transitions by which g is judged, and of which that is asked together
 
     def __init__(
         self,
@@ -73,7 +89,23 @@ class Discriminator:
         self.h = StackedMLP(
             1, obs_dim, config.hidden, config.layers, 1, init="torch", generator=generator, precision=precision
         )
-        self._adams = tuple(FlatAdam(net.flat, net.flat_grad, config.lr) for net in (self.g.net, self.h))
+        self._sizes = {"obs_dim": obs_dim, "act_dim": act_dim}
+        self.nets: dict[str, StackedMLP | Encoder] = {}
+        self._adams: dict[str, FlatAdam] = {}
+        self._add(g=self.g.net, h=self.h)
+
+    def _add(self, **nets: StackedMLP | Encoder) -> None:
+        """Train and save these, too."""
+        self.nets |= nets
+        self._adams |= {name: FlatAdam(net.flat, net.flat_grad, self.config.lr) for name, net in nets.items()}
+
+    def density(self, agent: Agent, batch: Batch) -> Tensor:
+        """Log density of what was done in a batch under the agent's policy, without gradient: float32 [B], nats."""
+        return cast("StochasticAgent", agent).log_prob(batch.obs, batch.act)
+
+    def reward(self, batch: Batch) -> Tensor:
+        """What g says of transitions, float32 [B], without gradient."""
+        return self.g.predict(batch.obs, batch.act)
 
     @torch.no_grad()
     def f(self, batch: Batch) -> Tensor:
@@ -82,16 +114,15 @@ class Discriminator:
         return self.g.predict(batch.obs, batch.act) + self.discount * batch.continues * h_next - h
 
     @torch.no_grad()
-    def step(self, expert: Batch, policy: Batch, log_prob: Tensor) -> float:
-        """One gradient step on as many expert transitions as policy transitions; returns the norm of g's gradient.
+    def step(self, both: Batch, log_prob: Tensor) -> float:
+        """One gradient step; returns the norm of g's gradient.
 
         Args:
-            log_prob: of the expert's actions and then the policy's, under the policy as it is, nats [2 B].
+            both: as many transitions of the expert and then of the policy, [2 B].
+            log_prob: of their actions, under the policy as it is, nats [2 B].
         """
-        pairs = [(e, p) for e, p in zip(expert, policy, strict=True) if e is not None and p is not None]
-        both = Batch(*(torch.cat(pair) for pair in pairs))
-        is_expert = torch.zeros(len(both.obs)).index_fill_(0, torch.arange(len(expert.obs)), 1.0)
         g, h, count = self.g.net, self.h, len(both.obs)
+        is_expert = torch.zeros(count).index_fill_(0, torch.arange(count // 2), 1.0)
         pairs_in = torch.cat((both.obs, both.act), dim=1)
         here = g.take(pairs_in.shape)
         reward = self.g.headed(here(pairs_in)[0, 0])
@@ -105,27 +136,41 @@ class Discriminator:
             loss = binary_cross_entropy_with_logits(logit, is_expert)
             torch.cat((-delta, bootstrap * delta), out=there.grad[0, 0])
             there.backward_params()
-            self._adams[1].step()
             h.give_back(there)
+            trained = ["g", "h"]
         else:  # g alone, pulled to 1 on expert transitions and to 0 on the policy's (the paper's figure on fine-tuning)
             error = reward - is_expert
             delta, loss = error * (2 / count), error.square().mean()
+            trained = ["g"]
         if self.g.bounded:  # the gradient in the network's outputs, given that in the rewards
             delta = delta * (1 - reward.square())
         here.grad[0, 0].copy_(delta)
         here.backward_params()
-        self._adams[0].step()
         g.give_back(here)
-        if not torch.isfinite(loss):
-            raise NumericalError(f"the loss of the discriminator is {float(loss)}")
+        self._descend(loss, trained)
         return float(g.flat_grad.norm())
 
+    def _descend(self, loss: Tensor, nets: Iterable[str]) -> None:
+        """Step along the gradients of a loss, which must be finite, in these nets."""
+        if not torch.isfinite(loss):
+            raise NumericalError(f"the loss of the discriminator is {float(loss)}")
+        for name in nets:
+            self._adams[name].step()
+
+    def described(self) -> State:
+        """What a prior is made of beside its weights."""
+        return {"shape": {name: getattr(self.config, name) for name in ("hidden", "layers", "head")}, **self._sizes}
+
+    def kept(self) -> State:
+        """The weights of a prior: all but h."""
+        return {name: net.flat.clone() for name, net in self.nets.items() if name != "h"}
+
     def state_dict(self) -> State:
-        optimisers = [adam.state_dict() for adam in self._adams]
-        return {"g": self.g.net.flat.clone(), "h": self.h.flat.clone(), "optimisers": optimisers}
+        optimisers = [adam.state_dict() for adam in self._adams.values()]
+        return {name: net.flat.clone() for name, net in self.nets.items()} | {"optimisers": optimisers}
 
     def load_state_dict(self, state: State) -> None:
-        self.g.net.flat.copy_(state["g"])
-        self.h.flat.copy_(state["h"])
-        for adam, saved in zip(self._adams, state["optimisers"], strict=True):
+        for name, net in self.nets.items():
+            net.flat.copy_(state[name])
+        for adam, saved in zip(self._adams.values(), state["optimisers"], strict=True):
             adam.load_state_dict(saved)

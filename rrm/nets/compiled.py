@@ -57,6 +57,12 @@ def _narrow_at(_context: Any, _address: Any) -> Any:
     return types.CPointer(types.uint16)(types.int64), _to_pointer
 
 
+@intrinsic  # type: ignore[untyped-decorator]
+def _bytes_at(_context: Any, _address: Any) -> Any:
+    """A pointer to bytes of an address."""
+    return types.CPointer(types.uint8)(types.int64), _to_pointer
+
+
 def _to_pointer(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
     return builder.inttoptr(arguments[0], context.get_value_type(signature.return_type))
 
@@ -355,6 +361,32 @@ def _adam(p: Any) -> None:
         mean[0, i] += np.float32(0.1) * (g - mean[0, i])
         square[0, i] = np.float32(0.999) * square[0, i] + np.float32(0.001) * g * g
         param[0, i] -= size * mean[0, i] / (np.sqrt(square[0, i]) * root + np.float32(1e-8))
+
+
+@_compiled
+def _bytes(address: Any, count: Any) -> Any:
+    return carray(_bytes_at(address), count)
+
+
+@_compiled
+def move(address: Any, apart: Any, moves: Any, out: Any, planes: Any, height: Any, width: Any) -> None:
+    """Pictures [planes, height, width] of bytes, so many bytes apart, go to `out` as x - 128; see `rrm.nets.shift`."""
+    for b in range(len(moves)):
+        picture, down, right = address + b * apart, moves[b, 0], moves[b, 1]
+        left, stop = min(max(0, -right), width), max(0, min(width, width - right))
+        middle = max(0, stop - left)
+        for p in range(planes):
+            for y in range(height):
+                start = picture + (p * height + min(max(y + down, 0), height - 1)) * width
+                row, target = _bytes(start, width), _bytes(out, width)
+                source, within = _bytes(start + right + left, middle), _bytes(out + left, middle)
+                for x in range(middle):
+                    within[x] = source[x] ^ 128
+                for x in range(left):
+                    target[x] = row[0] ^ 128
+                for x in range(stop, width):
+                    target[x] = row[width - 1] ^ 128
+                out += width
 
 
 @_compiled

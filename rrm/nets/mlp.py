@@ -11,12 +11,14 @@ from __future__ import annotations
 import copy
 import math
 from functools import cached_property
+from itertools import pairwise
 from typing import TYPE_CHECKING, Any, Literal
 
 import torch
 from torch import Tensor, nn
 
 from rrm.nets.compiled import EPSILON, LEAK
+from rrm.nets.flat import ALIGN, Parameters
 from rrm.nets.products import bind
 from rrm.nets.program import (
     Activation,
@@ -39,9 +41,6 @@ if TYPE_CHECKING:
 
 Init = Literal["orthogonal", "torch"]
 
-#: Every parameter starts on a cache line, so that results do not depend on the sizes of its neighbours.
-_ALIGN = 16
-
 #: Rows that go through a stack together where no way back is needed: their activations stay in the caches.
 _AT_ONCE = 2048
 
@@ -59,7 +58,7 @@ class Memory:
     def __init__(self, net: StackedMLP, rows: int) -> None:
         def room(width: int, dtype: torch.dtype) -> Tensor:
             # Rows a multiple of 1 KiB apart fall into the same few sets of a cache, which costs a product 5 %.
-            apart = width + _ALIGN * (width % 256 == 0 and dtype == torch.float32)
+            apart = width + ALIGN * (width % 256 == 0 and dtype == torch.float32)
             return torch.empty(net.members, rows, apart, dtype=dtype, device=net.flat.device)[..., :width]
 
         layers, widest = len(net.widths) - 2, max(net.widths[1:-1], default=0)
@@ -230,15 +229,15 @@ class StackedMLP:
         self.init = init
         #: Precision in which hidden layers are multiplied with each other.
         self.inner = torch.bfloat16 if precision == "bfloat16" and layers > 1 else torch.float32
-        shapes = [s for i, o in zip(self.widths, self.widths[1:], strict=False) for s in ((i, o), (1, o))]
-        shapes[-2] = (outputs, self.widths[-2])
-        size = sum(_padded(members * math.prod(shape)) for shape in shapes)
-        self.flat = torch.zeros(size, device=device)  #: all parameters; the padding between them stays zero
-        self.flat_grad = torch.zeros_like(self.flat)  #: their gradients, filled by `backward_params`
-        self.weights = self._windows(
-            self.flat, shapes
-        )  #: and biases: `[W0, b0, W1, b1, ...]`, W [N, in, out], b [N, 1, out]
-        self.grads = self._windows(self.flat_grad, shapes)  #: views in the order and shapes of `parameters()`
+        shapes = [(members, *s) for i, o in pairwise(self.widths) for s in ((i, o), (1, o))]
+        shapes[-2] = (members, outputs, self.widths[-2])  # the last weight is stored transposed, see `Pass`
+        parameters = Parameters(shapes, device)
+        self.flat = parameters.flat  #: all parameters; the padding between them stays zero
+        self.flat_grad = parameters.flat_grad  #: their gradients, filled by `backward_params`
+        self.weights = parameters.values  #: and biases: `[W0, b0, W1, b1, ...]`, W [N, in, out], b [N, 1, out]
+        self.grads = parameters.grads  #: views in the order and shapes of `parameters()`
+        for views in (self.weights, self.grads):
+            views[-2] = _t(views[-2])
         self._spares: dict[torch.Size, Pass] = {}
         #: What the inputs of each layer are multiplied with: its weights, rounded between hidden layers.
         self.factors = [
@@ -250,17 +249,6 @@ class StackedMLP:
         self._leaves = [p.detach().requires_grad_() for p in self.weights]
         if generator is not None:
             self.initialise(generator)
-
-    def _windows(self, flat: Tensor, shapes: Sequence[tuple[int, int]]) -> list[Tensor]:
-        """Views into a flat buffer, [N, *shape] each; the last weight is stored transposed, see `forward`."""
-        views: list[Tensor] = []
-        offset = 0
-        for shape in shapes:
-            size = self.members * math.prod(shape)
-            views.append(flat[offset : offset + size].view(self.members, *shape))
-            offset += _padded(size)
-        views[-2] = views[-2].transpose(1, 2)
-        return views
 
     def initialise(self, generator: torch.Generator) -> None:
         """Draw fresh weights in place."""
@@ -342,7 +330,3 @@ class _WrittenOut(torch.autograd.Function):
 
 def _t(stack: Tensor) -> Tensor:
     return stack.transpose(1, 2)
-
-
-def _padded(size: int) -> int:
-    return -(-size // _ALIGN) * _ALIGN

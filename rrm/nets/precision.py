@@ -3,7 +3,9 @@
 With `bfloat16` (8 bits of mantissa) the products between hidden layers read and write numbers of that precision; their
 sums are taken in float32, and so are bias, activation and derivative before a result is rounded. Weights, gradients in
 them and Adam's moments are kept in float32. First and last layers, where the rounding would touch observations, actions
-and values directly and where there is little to gain, multiply in float32.
+and values directly and where there is little to gain, multiply in float32. Of agents that see frames it is the
+convolutions and the products with their features that are rounded so, to which whole pixels are exact; what follows is
+float32.
 """
 
 from __future__ import annotations

@@ -27,6 +27,7 @@ PRIORS: dict[str, str] = {
     "zero": "rrm.priors.proxy:zero",
     "opposite": "rrm.priors.proxy:opposite",
     "random": "rrm.priors.proxy:random",
+    "penalty": "rrm.priors.corridor:penalty",
     "language": "rrm.priors.language:language",
     IMITATION: "rrm.priors.imitation:ImitationPrior",  # made by a run of its own, see `rrm.training.build`
 }

@@ -23,7 +23,7 @@ from rrm.envs.tasks import Task
 from rrm.errors import PriorError
 
 if TYPE_CHECKING:
-    from rrm.types import Floats
+    from rrm.types import Floats, Pixels
 
 Position = npt.NDArray[np.float64]
 
@@ -47,6 +47,11 @@ class Scene:
     def object(self) -> Position:
         """Where the object to be moved is (the car itself on toy-car), metres."""
         return self.feature("object")
+
+    @property
+    def object_start(self) -> Position:
+        """Where the object was when the episode began, metres."""
+        return self.feature("object_start")
 
     @property
     def goal(self) -> Position:
@@ -85,6 +90,7 @@ class PriorStep(Scene):
     info: Mapping[str, float]  #: of the environment's step
     rng: np.random.Generator  #: for priors that draw; its state is saved with the run
     first: Scene  #: the state the episode began with
+    frames: Pixels | None = None  #: what an agent that sees frames saw of s_t, [stack, channels, height, width]
 
     @property
     def success(self) -> float:

@@ -16,7 +16,7 @@ import numpy as np
 from rrm.envs.tasks import Task
 from rrm.moments import RunningMoments
 from rrm.priors.step import PriorStep, Scene, evaluate_prior
-from rrm.types import Floats, State
+from rrm.types import Floats, Obs, State
 
 _EPSILON = 1e-8  # of the z-score; the paper names it and gives no value
 
@@ -50,7 +50,7 @@ class PriorSource:
         """Remember where the episode began, for priors that refer to it."""
         self._first = _read_only(obs)
 
-    def __call__(self, obs: Floats, act: Floats, info: dict[str, Any], step: int) -> tuple[float, float]:
+    def __call__(self, obs: Obs, act: Floats, info: dict[str, Any], step: int) -> tuple[float, float]:
         """Raw and scaled prior of the step from `obs` by `act` with outcome `info`; raises as `evaluate_prior` does."""
         raw = self._raw(obs, act, info, f'prior "{self._name}" at step {step}')
         self._seen.add(raw)
@@ -58,11 +58,11 @@ class PriorSource:
 
     def look(self, obs: Floats, act: Floats, info: dict[str, Any]) -> float:
         """The scaled prior of a step, at the scale as it is: nothing is learned from looking."""
-        return scaled(self._raw(obs, act, info, f'prior "{self._name}"'), self._seen, self._normaliser)
+        return scaled(self._raw(Obs(obs), act, info, f'prior "{self._name}"'), self._seen, self._normaliser)
 
-    def _raw(self, obs: Floats, act: Floats, info: dict[str, Any], where: str) -> float:
+    def _raw(self, obs: Obs, act: Floats, info: dict[str, Any], where: str) -> float:
         first = Scene(self._task, self._first)
-        step = PriorStep(self._task, _read_only(obs), _read_only(act), info, self._rng, first)
+        step = PriorStep(self._task, _read_only(obs.state), _read_only(act), info, self._rng, first, frames=obs.frames)
         return evaluate_prior(self._prior, step, where)
 
     def state_dict(self) -> State:

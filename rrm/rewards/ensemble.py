@@ -49,7 +49,15 @@ class EnsembleReward:
             self._factor = 1 / std.clamp(min=_SMALLEST)
 
     def members(self, segments: Segments) -> Tensor:
-        return self._outputs(torch.cat([self._seen(segments.obs), segments.act], dim=-1))
+        return self._outputs(self._inputs(segments))
+
+    def _inputs(self, segments: Segments) -> Tensor:
+        """What the networks are shown of every step, [B, T, D]; [N, B, T, D] where each has inputs of its own."""
+        return torch.cat([self._seen(segments.obs), self._beside(segments)], dim=-1)
+
+    def _beside(self, segments: Segments) -> Tensor:
+        """What they are shown beside the observation."""
+        return torch.cat([segments.act, segments.prior.unsqueeze(-1)], dim=-1) if self.on_prior else segments.act
 
     def _seen(self, obs: Tensor) -> Tensor:
         """Observations as the networks are shown them, [..., O]."""
@@ -87,8 +95,7 @@ class ResidualReward(EnsembleReward):
     on_prior = True
 
     def members(self, segments: Segments) -> Tensor:
-        inputs = torch.cat([self._seen(segments.obs), segments.act, segments.prior.unsqueeze(-1)], dim=-1)
-        return segments.prior + self._outputs(inputs)
+        return segments.prior + super().members(segments)
 
     def penalty(self, rewards: Tensor, segments: Segments) -> Tensor:
         if not self._linear:

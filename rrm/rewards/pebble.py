@@ -7,6 +7,7 @@ pairs called equal are left out of the accuracy, and the loss always accepts the
 from __future__ import annotations
 
 import copy
+import math
 
 import numpy as np
 import torch
@@ -48,20 +49,23 @@ class Pebble:
         self._optimizer = torch.optim.Adam(reward.parameters(), lr=config.lr, fused=True)
 
     def fit(self, feedback: Feedback) -> dict[str, float]:
-        """Up to `epochs` passes over all labels, until the accuracy of an epoch exceeds `target_accuracy`.
+        """Up to `epochs` passes over all labels and `most_steps` gradient steps, until the accuracy of an epoch exceeds
+        `target_accuracy`.
 
         Returns `label_accuracy` of the last epoch (each minibatch before its step, ties left out; NaN if all are ties),
         `reward_loss`, and `epochs` done.
         """
         epochs = 0
         accuracy = loss = float("nan")
-        while epochs < self.config.epochs and not accuracy > self.config.target_accuracy:
-            accuracy, loss = self._epoch(feedback)
-            epochs += 1
+        left = self.config.most_steps or math.inf
+        while left and epochs < self.config.epochs and not accuracy > self.config.target_accuracy:
+            accuracy, loss, steps = self._epoch(feedback, left)
+            epochs, left = epochs + 1, left - steps
         return {**learned(accuracy, loss, len(feedback)), "epochs": float(epochs)}
 
-    def _epoch(self, feedback: Feedback) -> tuple[float, float]:
-        members, count = self.config.members, len(feedback)
+    def _epoch(self, feedback: Feedback, most: float) -> tuple[float, float, int]:
+        """Accuracy and loss of a pass of so many gradient steps at the most, and how many there were."""
+        members, count, steps = self.config.members, len(feedback), 0
         order = torch.from_numpy(np.stack([self._rng.permutation(count) for _ in range(members)]))
         figures = torch.zeros(3)
         for index in torch.split(order, self.config.minibatch, dim=1):
@@ -75,8 +79,12 @@ class Pebble:
                 (loss * (part.shape[1] / index.shape[1])).backward()  # type: ignore[no-untyped-call]
                 figures += torch.stack((*told_right(logit.detach(), target), loss.detach() * part.shape[1]))
             self._step()
+            steps += 1
+            if steps == most:
+                count = min(count, steps * self.config.minibatch)
+                break
         right, decided, total = figures.tolist()
-        return right / decided if decided else float("nan"), total / count
+        return right / decided if decided else float("nan"), total / count, steps
 
     def _step(self) -> None:
         """Step along the gradient of the whole minibatch."""

@@ -32,7 +32,7 @@ class Surf(Pebble):
         self._sure = float("nan")  # share of pseudo-labels that counted in the last pass
 
     def fit(self, feedback: Feedback) -> dict[str, float]:
-        """`ceil(epochs * labels / minibatch)` gradient steps, however well the labels are told before.
+        """`ceil(epochs * labels / minibatch)` gradient steps, or `most_steps`, however well the labels are told before.
 
         `label_accuracy` and `reward_loss` are those of the last pass over the labels.
         """
@@ -41,6 +41,8 @@ class Surf(Pebble):
         unlabelled = _minibatches(self._rng, config.members, feedback.unlabelled, config.minibatch * config.surf.ratio)
         steps, a_pass = (math.ceil(epochs * count / config.minibatch) for epochs in (config.epochs, 1))
         figures, pseudo = torch.zeros(4), 0
+        steps = min(steps, config.most_steps or steps)
+        a_pass = min(steps, a_pass)
         for step in range(steps):
             if step == steps - a_pass:
                 figures, pseudo = torch.zeros(4), 0

@@ -12,11 +12,13 @@ one where that is at 100 %.
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, cast
+from collections.abc import Callable
+from typing import TYPE_CHECKING
 
+import numpy as np
 import torch
 
-from rrm.imitation.discriminator import Discriminator
+from rrm.imitation.discriminator import Discriminator, joined
 from rrm.imitation.finetune import GradientLog
 from rrm.losses import with_uniform
 from rrm.moments import RunningMoments
@@ -31,8 +33,7 @@ if TYPE_CHECKING:
     from rrm.buffers.replay import Replay
     from rrm.config import ImitationConfig
     from rrm.imitation.demos import Demonstrations
-    from rrm.interfaces import Agent, StochasticAgent
-    from rrm.precision import Precision
+    from rrm.interfaces import Agent
     from rrm.seeding import Streams
     from rrm.types import Evaluation, State, Transition
 
@@ -41,7 +42,8 @@ class Adversarial(RewardSource):
     """Demonstrations, discriminator, and what they leave behind: a prior, or the norms of g's gradients.
 
     Args:
-        streams: `imitation-init` draws weights, `imitation` the minibatches.
+        discriminator: of states, or of what a camera shows: what of a transition it looks at is its own affair.
+        streams: `imitation` draws the minibatches.
         about: what to say of the prior that is left behind; None where g is trained further with preferences, and the
             norms of its gradients are what is left.
     """
@@ -53,31 +55,24 @@ class Adversarial(RewardSource):
         config: ImitationConfig,
         demos: Demonstrations,
         replay: Replay,
+        discriminator: Discriminator,
         *,
-        discount: float,
         streams: Streams,
-        precision: Precision,
         about: State | None,
     ) -> None:
         self._config = config
         self._replay = replay
         self._about = about
-        self._sizes = demos.obs.shape[1], demos.act.shape[1]
-        self.discriminator = Discriminator(
-            config, *self._sizes, discount, generator=streams.torch("imitation-init"), precision=precision
-        )
+        self._demos = demos
+        self.discriminator = discriminator
         self.gradients = GradientLog()
-        self._summary = demos.summary()
-        obs, act, next_obs = (torch.from_numpy(array.copy()) for array in (demos.obs, demos.act, demos.next_obs))
-        blank, continues = torch.zeros(len(demos)), 1.0 - torch.from_numpy(demos.terminated.astype("float32"))
-        self._expert = Batch(obs, act, blank, blank, next_obs, continues)
         self._generator = streams.torch("imitation")
         self.scale = RunningMoments()  #: of the reward that the agent was trained on, before it was divided by this
         self._kept: State | None = None
 
     def log(self, loss: str, norm: float) -> None:
-        """Record a gradient step of the present environment step: every step is a transition."""
-        self.gradients.add(self._replay.transitions, loss, norm)
+        """Record a gradient step of the present environment step."""
+        self.gradients.add(self._replay.steps, loss, norm)
 
     def attend(self, step: int, agent: Agent) -> None:
         """A round of gradient steps of the discriminator against the policy as it is, where one is due."""
@@ -85,57 +80,62 @@ class Adversarial(RewardSource):
         if since < 0 or since % config.every:
             return
         for _ in range(config.updates):
-            rows = torch.randint(len(self._expert.obs), (config.minibatch,), generator=self._generator)
-            expert = Batch(*(column[rows] for column in self._expert if column is not None))
+            numbers = torch.randint(len(self._demos), (config.minibatch,), generator=self._generator)
             policy = self._replay.draw(config.minibatch, self._generator, newest=config.window)
-            log_prob = cast("StochasticAgent", agent).log_prob(
-                torch.cat((expert.obs, policy.obs)), torch.cat((expert.act, policy.act))
-            )
-            log_prob = with_uniform(log_prob, config.uniform, self._sizes[1])
-            norm = self.discriminator.step(expert, policy, log_prob)
+            both = joined(self._demos.batch(numbers), policy)
+            log_prob = with_uniform(self.discriminator.density(agent, both), config.uniform, both.act.shape[1])
+            norm = self.discriminator.step(both, log_prob)
             if self._about is None:
                 self.log(config.pretrain, norm)
 
     def reward(self, step: Transition) -> float:
         """As it is now, for the curve; what the agent learns from is taken anew with every batch."""
         obs, act, next_obs = (torch.from_numpy(part)[None] for part in (step.obs, step.act, step.next_obs))
-        blank, continues = torch.zeros(1), torch.tensor([0.0 if step.terminated else 1.0])
-        return float(self.scale.over_std(self._raw(Batch(obs, act, blank, blank, next_obs, continues))))
+        blank, continues, frames = torch.zeros(1), torch.tensor([0.0 if step.terminated else 1.0]), None
+        if step.frames is not None and step.next_frames is not None:
+            frames = torch.from_numpy(np.concatenate((step.frames, step.next_frames[-1:])))[None]
+        return float(self.scale.over_std(self._raw(Batch(obs, act, blank, blank, next_obs, continues, frames))))
 
     def batch(self, agent: Agent) -> Batch:  # noqa: ARG002 (the seam of others)
         """Transitions with their reward now; the deviation takes the batch in first."""
         batch = self._replay.sample()
         raw = self._raw(batch)
         values = raw.double()
-        self.scale.add(float(values.mean()), float(values.var(correction=0)), len(values))
+        self.scale.add(float(values.mean()), float(values.var(correction=0)), values.numel())
         return batch._replace(reward=self.scale.over_std(raw))
 
     def _raw(self, batch: Batch) -> Tensor:
-        if self._config.pretrain == "mse":
-            return self.discriminator.g.predict(batch.obs, batch.act)
-        return self.discriminator.f(batch)
+        return (self.discriminator.f if self._config.pretrain == "airl" else self.discriminator.reward)(batch)
 
     def evaluated(self, step: int, evaluation: Evaluation) -> None:
         """Keep g as it is, unless an earlier evaluation was better; the return decides where success is NaN.
 
         The range of g is recorded on the demonstrations and on the policy's newest transitions; its mean and deviation
-        on both the demonstrations and the whole run, from random actions on: what a run on this prior will see.
+        on both the demonstrations and the whole run, from random actions on: what a run on this prior will see. Of
+        each there are as many as the discriminator looks at (`most`), evenly spread.
         """
         success = None if math.isnan(evaluation.success) else evaluation.success
         score = evaluation.true_return if success is None else success
         if self._about is None or (self._kept is not None and self._kept["score"] > score):
             return
-        g, window = self.discriminator.g, self._config.window
-        demos, policy, run = (
-            g.predict(batch.obs, batch.act)
-            for batch in (self._expert, self._replay.newest(window), self._replay.spread(len(self._expert.obs)))
-        )
+        shown, lived = len(self._demos), self._replay.transitions
+        newest = min(lived, self._config.window)
+        demos = self._told(self._demos.batch, 0, shown, shown)
+        policy = self._told(self._replay.batch, lived - newest, newest, newest)
+        run = self._told(self._replay.batch, 0, lived, shown)
         seen = torch.cat((demos, run)).double()
         self._kept = {
             "score": score, "step": step, "success": success, "true_return": evaluation.true_return,
             "range": {"demonstrations": _range(demos), "policy": _range(policy)},
-            "mean": float(seen.mean()), "std": float(seen.std()), "g": g.net.flat.clone(),
+            "mean": float(seen.mean()), "std": float(seen.std()), **self.discriminator.kept(),
         }  # fmt: skip
+
+    def _told(self, batch: Callable[[Tensor], Batch], first: int, count: int, wanted: int) -> Tensor:
+        """What g says of so many transitions by number, evenly among `count` from `first` on; some twice if fewer."""
+        looks = min(wanted, self.discriminator.most)
+        numbers = first + torch.arange(looks) * count // looks
+        parts = torch.split(numbers, self.discriminator.at_once)
+        return torch.cat([self.discriminator.reward(batch(part)) for part in parts])
 
     def legacy(self) -> State:
         """The frozen prior, where g was not trained further: its weights and shape, how good the policy was, and the
@@ -144,10 +144,9 @@ class Adversarial(RewardSource):
         if self._about is None:
             return {}
         assert self._kept is not None  # the last step of a run is evaluated
-        shape = {name: getattr(self._config, name) for name in ("hidden", "layers", "head")}
-        sizes = dict(zip(("obs_dim", "act_dim"), self._sizes, strict=True))
         kept = {name: value for name, value in self._kept.items() if name != "score"}
-        return {"imitation": {**self._about, "shape": shape, **sizes, "demonstrations": self._summary, **kept}}
+        described = {**self._about, **self.discriminator.described(), "demonstrations": self._demos.summary()}
+        return {"imitation": described | kept}
 
     def publish(self, folder: Path) -> None:
         """The norms of the gradients, where g is trained further."""

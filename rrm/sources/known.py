@@ -13,17 +13,18 @@ if TYPE_CHECKING:
 
 
 class Known(RewardSource):
-    """The environment's own reward, or the scaled prior as it is stored."""
+    """The environment's own reward times a factor, or the scaled prior as it is stored."""
 
     name = "known"
 
-    def __init__(self, replay: Replay, field: Literal["true_reward", "prior"]) -> None:
-        """Args: field: of a step, which is its reward."""
+    def __init__(self, replay: Replay, field: Literal["true_reward", "prior"], factor: float = 1.0) -> None:
+        """Args: field: of a step, which times `factor` is its reward."""
         self._replay = replay
         self._field = field
+        self._factor = factor
 
     def reward(self, step: Transition) -> float:
-        return float(getattr(step, self._field))
+        return self._factor * float(getattr(step, self._field))
 
     def batch(self, agent: Agent) -> Batch:  # noqa: ARG002 (the seam of others)
         return self._replay.sample()

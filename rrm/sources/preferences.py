@@ -22,7 +22,8 @@ if TYPE_CHECKING:
     from rrm.buffers.experience import Experience
     from rrm.buffers.replay import Replay
     from rrm.config import FeedbackConfig
-    from rrm.interfaces import Agent, CriticAgent, RewardLearner, Teacher
+    from rrm.interfaces import Agent, CriticAgent, RewardLearner, Teacher, VisualAgent
+    from rrm.rewards.sight import Sight
     from rrm.types import Batch, State, Transition
 
 _ACCURACY_PAIRS = 256
@@ -47,12 +48,14 @@ class PreferenceReward(RewardSource):
         teacher: Teacher,
         rng: np.random.Generator,
         unlabelled_rng: np.random.Generator,
+        sight: Sight | None = None,
     ) -> None:
         """Args:
         first: step before which the first session is held.
         steps: of the run.
         capacity: labelled pairs kept.
         rng, unlabelled_rng: the streams that draw candidate segments, and pairs nobody is asked about.
+        sight: what the reward sees of frames; None where it is shown observations.
         """
         self._config = config
         self._first = first
@@ -63,6 +66,7 @@ class PreferenceReward(RewardSource):
         self.teacher = teacher
         self._rng = rng
         self._unlabelled_rng = unlabelled_rng
+        self._sight = sight
         self._length = config.segment + 2 * learner.needs.margin  # steps of a segment as the learner sees it
         self.preferences = Preferences(capacity, self._length)
         self.unlabelled = PairRing(_UNLABELLED_PAIRS, self._length)
@@ -79,8 +83,10 @@ class PreferenceReward(RewardSource):
         return self.journal.labels
 
     def reward(self, step: Transition) -> float:
-        one = torch.from_numpy(step.obs)[None], torch.from_numpy(step.act)[None], torch.tensor([step.prior])
-        return float(self.learner.reward.predict(*one))
+        seen = torch.from_numpy(step.obs)[None]
+        if self._sight is not None and step.frames is not None:
+            seen = self._sight.one(step.frames)
+        return float(self.learner.reward.predict(seen, torch.from_numpy(step.act)[None], torch.tensor([step.prior])))
 
     def ask(self, step: int) -> None:
         since = step - self._first
@@ -108,7 +114,7 @@ class PreferenceReward(RewardSource):
         missing = len(self.journal.open)
         return f"{missing} answers of its teacher" if missing else None
 
-    def attend(self, step: int, agent: Agent) -> None:  # noqa: ARG002 (the seam of others)
+    def attend(self, step: int, agent: Agent) -> None:
         """Fit the reward to the answers of the session asked for before this step, and relabel."""
         if self.journal.asked_at != step:
             return
@@ -117,13 +123,16 @@ class PreferenceReward(RewardSource):
         pairs, preference = self.journal.apply(step)
         given = ~np.isnan(preference)
         self.preferences.add(pairs[given] - self.learner.needs.margin, preference[given])
-        if len(self.preferences):
-            self._label_accuracy = self.learner.fit(self.feedback)["label_accuracy"]
-            self.relabel()
+        if not len(self.preferences):
+            return
+        if self._sight is not None:
+            self._sight.renew(cast("VisualAgent", agent).encoder)
+        self._label_accuracy = self.learner.fit(self.feedback)["label_accuracy"]
+        self.relabel()
 
     def batch(self, agent: Agent) -> Batch:
         """Transitions; before some updates the learner wants the critic first, and the rewards are those after it."""
-        step, needs = self._replay.transitions, self.learner.needs  # every step is a transition
+        step, needs = self._replay.steps, self.learner.needs
         spent = self.queries >= self._config.budget and not needs.refine_when_spent
         if step <= self._first or step % needs.refine_every or spent:
             return self._replay.sample()
@@ -161,7 +170,8 @@ class PreferenceReward(RewardSource):
         return float(agree[clear].mean()) if clear.any() else float("nan")
 
     def weights(self) -> State:
-        return {"reward": self.learner.reward.state_dict()}
+        reward = {"reward": self.learner.reward.state_dict()}
+        return reward if self._sight is None else reward | {"sight": self._sight.state_dict()}
 
     legacy = weights  #: the reward as it was learned
 
@@ -173,6 +183,7 @@ class PreferenceReward(RewardSource):
             "unlabelled": self.unlabelled.state_dict(),
             "journal": self.journal.state_dict(),
             "label_accuracy": self._label_accuracy,
+            "sight": None if self._sight is None else self._sight.state_dict(),
         }
 
     def load_state_dict(self, state: State) -> None:
@@ -182,4 +193,6 @@ class PreferenceReward(RewardSource):
         self.unlabelled.load_state_dict(state["unlabelled"])
         self.journal.load_state_dict(state["journal"])
         self._label_accuracy = float(state["label_accuracy"])
+        if self._sight is not None:
+            self._sight.load_state_dict(state["sight"])
         self.teacher.ask(self.journal.open)

@@ -6,25 +6,29 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
+from typing import cast
 
 from rrm.agents import AGENTS
 from rrm.buffers.experience import Experience
 from rrm.buffers.replay import Replay
 from rrm.checkpoint import again
-from rrm.config import IMITATION, PRIOR_ALONE
-from rrm.errors import DemosError, MissingResultError
+from rrm.config import IMITATION, PRIOR_ALONE, DrqConfig
+from rrm.errors import ConfigError, DemosError, MissingResultError
 from rrm.imitation.demos import Demonstrations
-from rrm.imitation.discriminator import RewardNet
+from rrm.imitation.discriminator import Discriminator, RewardNet
 from rrm.imitation.finetune import Finetune, ImitatedReward
-from rrm.interfaces import Agent, RewardFunction, RewardLearner
+from rrm.imitation.visual import Eye, VisualDiscriminator
+from rrm.interfaces import Agent, RewardFunction, RewardLearner, VisualAgent
 from rrm.moments import RunningMoments
 from rrm.priors import load_prior
-from rrm.priors.imitation import ImitationPrior
+from rrm.priors.imitation import ImitationPrior, read_prior
 from rrm.priors.step import PriorStep
 from rrm.priors.values import PriorSource
 from rrm.registry import lookup
 from rrm.rewards import LEARNERS
 from rrm.rewards.ensemble import EnsembleReward, ResidualReward
+from rrm.rewards.sight import Sight
+from rrm.rewards.visual import VisualResidual, VisualReward
 from rrm.seeding import Streams
 from rrm.sources.adversarial import Adversarial
 from rrm.sources.base import Phase, RewardSource
@@ -63,46 +67,55 @@ def assemble(config: RunConfig, streams: Streams, results: Results) -> Parts:
     """
     kind, begin, switch = config.reward.kind, config.random_steps, config.first_session
     agent = build_agent(config, streams)
-    experience = Experience(config.steps, config.episode_steps, config.spec().spaces)
+    if config.borrows_encoder:
+        lend_encoder(config, cast("VisualAgent", agent), results)
+    repeat = config.action_repeat
+    experience = Experience(config.steps // repeat, config.episode_steps // repeat, config.spaces, config.agent.window)
     prior = build_prior(config, streams, results)
-    replay = Replay(experience, config.agent.batch, streams.torch("replay"))
+    replay = Replay(experience, config.agent.batch, streams.torch("replay"), repeat)
 
     def preferences(learner: RewardLearner) -> PreferenceReward:
         assert config.feedback is not None  # the configuration has checked both
         assert config.teacher is not None
-        config.check_margin(learner.needs.margin)
+        config.check_margin(learner.needs.margin * repeat)
+        feedback = config.feedback.model_copy(update={"segment": config.feedback.segment // repeat})  # in transitions
+        sight = None
+        if config.sees_frames:
+            experience.seen = sight = Sight(experience, cast("VisualAgent", agent).encoder)
         teacher = ScriptedTeacher(config.teacher, streams.numpy("teacher"), experience.true_rewards)
         return PreferenceReward(
-            config.feedback,
+            feedback,
             first=switch, steps=config.steps, capacity=config.reward.capacity, experience=experience, replay=replay,
             learner=learner, teacher=teacher, rng=streams.numpy("query"), unlabelled_rng=streams.numpy("unlabelled"),
+            sight=sight,
         )  # fmt: skip
 
     source: RewardSource
     if kind.known:
-        source = Known(replay, "prior" if kind is PRIOR_ALONE else "true_reward")
+        source = Known(replay, "prior") if kind is PRIOR_ALONE else Known(replay, "true_reward", config.reward.factor)
         phases = [Phase(begin=begin, source=source)]
     elif kind.demonstrated:
+        imitation = config.imitation.model_copy(update={"window": config.imitation.window // repeat})  # in transitions
         source = Adversarial(
-            config.imitation, _demonstrations(config, results), replay,
-            discount=config.agent.discount, streams=streams, precision=config.precision,
-            about=None if kind.learned else {"task": config.task, "seed": config.seed},
+            imitation, _demonstrations(config, results), replay, build_discriminator(config, streams),
+            streams=streams, about=None if kind.learned else {"task": config.task, "seed": config.seed},
         )  # fmt: skip
         phases = [Phase(begin=begin, source=source)]
         if kind.learned:
             g = ImitatedReward(source.discriminator.g, source.scale)
             tuned = preferences(Finetune(g, config.reward, streams.numpy("reward"), source.log))
-            updates = int(switch % config.agent.update_every == 0)  # the agent learns on as it did
+            updates = config.agent.updates_at(switch // repeat)  # the agent learns on as it did
             phases.append(Phase(begin=switch, source=tuned, first_updates=updates))
     else:  # PEBBLE's: an unsupervised phase (none before a residual), and a fresh critic for the first reward
         learner_class = lookup(LEARNERS, "learner", config.reward.learner)
         source = preferences(learner_class(build_reward(config, streams), config.reward, streams.numpy("reward")))
-        entropy = StateEntropy(source, experience, replay, config.exploration.neighbours)
         first_updates = config.exploration.reset_updates
-        phases = [
-            Phase(begin=begin, source=entropy),
-            Phase(begin=switch, source=source, reset_critic=True, first_updates=first_updates),
-        ]
+        phases = [Phase(begin=switch, source=source, reset_critic=True, first_updates=first_updates)]
+        if switch > begin:
+            phases = [
+                Phase(begin=begin, source=StateEntropy(source, experience, replay, config.exploration.neighbours)),
+                *phases,
+            ]
     random = Phase(begin=0, source=source, random=True)
     return Parts(agent=agent, experience=experience, replay=replay, prior=prior, phases=(random, *phases))
 
@@ -116,26 +129,63 @@ def _demonstrations(config: RunConfig, results: Results) -> Demonstrations:
         if named is not None:
             raise
         raise MissingResultError(f"{error}: {again(path)}") from error
-    demos.check(config.spec(), str(path))
+    demos.check(config.spec(), str(path), config.spaces.frames, config.action_repeat)
     return demos
 
 
 def build_agent(config: RunConfig, streams: Streams) -> Agent:
     """The agent, untrained."""
     agent: Agent = lookup(AGENTS, "agent", config.agent.kind)(
-        config.agent, config.spec().spaces, streams, precision=config.precision
+        config.agent, config.spaces, streams, precision=config.precision
     )
     return agent
+
+
+def lend_encoder(config: RunConfig, agent: VisualAgent, results: Results) -> None:
+    """Have an untrained agent begin with the encoder of the run `agent.encoder_run`.
+
+    Raises ConfigError where that is of another shape, or looks elsewhere; MissingResultError where it is not there.
+    """
+    assert isinstance(config.agent, DrqConfig)  # the configuration has checked it
+    path = result_of(results, config.agent.encoder_run, "model.safetensors")
+    theirs = Eye.kept(read_prior(path, config.spec()))
+    lent, own = (
+        f"{agent.looks}, of frames {frames}"
+        for agent, frames in ((theirs.agent, theirs.frames), (config.agent, config.spaces.frames))
+    )
+    if lent != own:
+        raise ConfigError(
+            f"agent.encoder: that of {path} has {lent}; this run's agent has {own}: set them as there, or "
+            'agent.encoder = "fresh"'
+        )
+    agent.encoder.flat.copy_(theirs.encoder.flat)
+
+
+def build_discriminator(config: RunConfig, streams: Streams) -> Discriminator:
+    """The discriminator, untrained, of what the agent sees."""
+    spaces, generator = config.spaces, streams.torch("imitation-init")
+    rest = spaces.act, config.agent.discount
+    if not isinstance(config.agent, DrqConfig) or spaces.frames is None:
+        return Discriminator(config.imitation, spaces.obs, *rest, generator=generator, precision=config.precision)
+    known = config.spec().features.get("proprioception", slice(0))
+    assert isinstance(known, slice)  # a learned reward is told numbers of the observation as they are
+    eye = Eye(config.agent, spaces.frames, slice(*known.indices(spaces.obs)[:2]), generator, config.precision)
+    return VisualDiscriminator(config.imitation, eye, *rest, generator=generator, precision=config.precision)
 
 
 def build_reward(config: RunConfig, streams: Streams) -> RewardFunction:
     """The learned reward, untrained: a residual on the prior where there is one, g alone where that is fine-tuned, else
     an ensemble alone.
     """
-    kind, spaces = ResidualReward if config.reward.prior is not None else EnsembleReward, config.spec().spaces
+    residual, spaces = config.reward.prior is not None, config.spaces
     if config.from_demonstrations:
         return ImitatedReward(RewardNet(config.imitation, spaces.obs, spaces.act, None), RunningMoments())
-    return kind(config.reward, spaces.obs, spaces.act, streams.torch("reward-init"), config.precision)
+    made = streams.torch("reward-init"), config.precision
+    if isinstance(config.agent, DrqConfig) and spaces.frames is not None:
+        seen = config.agent.encoded(spaces.frames.height, spaces.frames.width)
+        visual = VisualResidual if residual else VisualReward
+        return visual(config.reward, seen, spaces.act, *made, width=config.agent.features)
+    return (ResidualReward if residual else EnsembleReward)(config.reward, spaces.obs, spaces.act, *made)
 
 
 def build_prior(config: RunConfig, streams: Streams, results: Results) -> PriorSource | None:
@@ -145,7 +195,7 @@ def build_prior(config: RunConfig, streams: Streams, results: Results) -> PriorS
         return None
     if name == IMITATION:
         path = result_of(results, config.reward.prior_run, "model.safetensors")
-        prior: Callable[[PriorStep], float] = ImitationPrior(path, task, config.reward.squash)
+        prior: Callable[[PriorStep], float] = ImitationPrior(path, task, config.reward.squash, config.spaces.frames)
     else:
         prior = load_prior(name)
     return PriorSource(name, prior, config.reward.normaliser, task, streams.numpy("prior"))

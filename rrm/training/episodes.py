@@ -12,9 +12,9 @@ from typing import Any
 
 import numpy as np
 
+from rrm.buffers.frames import Frames
 from rrm.checkpoint import again, read_networks
 from rrm.config import EvaluationConfig
-from rrm.envs import make
 from rrm.envs.observer import Observer
 from rrm.errors import DemosError, MissingResultError
 from rrm.imitation.demos import Demonstrations
@@ -24,7 +24,7 @@ from rrm.training.build import build_agent
 from rrm.training.run_config import RunConfig
 from rrm.types import Evaluation, Floats, Obs
 
-Policy = Callable[[Floats], Floats]
+Policy = Callable[[Obs], Floats]
 
 
 def evaluate(agent: Agent, env: Observer, config: EvaluationConfig, *, seed: int, step: int) -> Evaluation:
@@ -51,7 +51,7 @@ def expert_policy(config: RunConfig, model: Path) -> Policy:
     if "agent" not in networks:
         raise MissingResultError(f"{model} does not hold the expert's networks: {again(model)}")
     agent.load_state_dict(networks["agent"])
-    return lambda obs: agent.act(Obs(obs), explore=False)
+    return lambda obs: agent.act(obs, explore=False)
 
 
 def demonstrate(
@@ -62,6 +62,9 @@ def demonstrate(
     seed: int,
     source: Mapping[str, Any],
     horizon: int | None = None,
+    repeat: int = 1,
+    frames: Frames | None = None,
+    by_state: bool = False,
     least_success: float = 0.0,
     stopped: Callable[[int, float], bool] = lambda _step, _rate: False,
 ) -> Demonstrations | None:
@@ -71,23 +74,30 @@ def demonstrate(
         seed: the stream `demonstrations` of it draws the instances.
         source: what to say of the policy in the provenance.
         horizon: steps of an episode where shorter than the task's own.
+        repeat: steps of the environment that an action lasts.
+        frames: where the pictures go, of a task with a camera.
+        by_state: the policy is of the task without a camera: it acts on the `full_obs` that the environment then has.
         least_success: share of the episodes that must succeed (else `DemosError`), where the task has that notion.
         stopped: asked after every episode with the steps so far and steps per second.
     """
-    env, rng, began = make(task, horizon), Streams(seed).numpy("demonstrations"), time.monotonic()
+    env = Observer(task, horizon, None if frames is None else frames.space, repeat)
+    rng, began = Streams(seed).numpy("demonstrations"), time.monotonic()
     steps: dict[str, list[Any]] = {"obs": [], "act": [], "next_obs": [], "terminated": []}
     lengths: list[int] = []
     returns: list[float] = []
     successes: list[float] = []
     try:
         for _ in range(episodes):
-            obs, _ = env.reset(seed=int(rng.integers(2**31)))
+            obs = env.reset(seed=int(rng.integers(2**31)))
+            _film(frames, obs)
             begin, total, success, over = len(steps["obs"]), 0.0, -np.inf, False
             while not over:
-                act = np.clip(policy(obs), -1.0, 1.0).astype(np.float32)
+                shown = Obs(env.env.full_obs) if by_state else obs  # type: ignore[attr-defined]
+                act = np.clip(policy(shown), -1.0, 1.0).astype(np.float32)
                 next_obs, reward, terminated, truncated, info = env.step(act)
-                for values, value in zip(steps.values(), (obs, act, next_obs, terminated), strict=True):
+                for values, value in zip(steps.values(), (obs.state, act, next_obs.state, terminated), strict=True):
                     values.append(value)
+                _film(frames, next_obs)
                 total += reward
                 success = max(success, float(info["success"])) if "success" in info else np.nan
                 obs, over = next_obs, terminated or truncated
@@ -95,7 +105,7 @@ def demonstrate(
             lengths.append(played - begin)
             returns.append(total)
             successes.append(success)
-            if stopped(played, played / (time.monotonic() - began)):
+            if stopped(played * repeat, played * repeat / (time.monotonic() - began)):
                 return None
     finally:
         env.close()
@@ -107,7 +117,8 @@ def demonstrate(
         lengths=np.array(lengths, np.int64),
         returns=np.array(returns, np.float64),
         successes=np.array(successes, np.float64),
-        provenance={"task": task, "seed": seed, **source},
+        provenance={"task": task, "seed": seed, **source, **({} if repeat == 1 else {"action_repeat": repeat})},
+        frames=frames,
     )
     if demos.success < least_success:
         raise DemosError(
@@ -116,3 +127,9 @@ def demonstrate(
             "imitation.demos"
         )
     return demos
+
+
+def _film(frames: Frames | None, obs: Obs) -> None:
+    """Keep the newest picture."""
+    if frames is not None and obs.frames is not None:
+        frames.append(obs.frames[-1])

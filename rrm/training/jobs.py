@@ -14,12 +14,15 @@ from typing import Any, Protocol
 import numpy as np
 import torch
 
+from rrm.buffers.frames import Frames
 from rrm.checkpoint import Checkpoints, check_finite, encode
 from rrm.envs import make
 from rrm.errors import NumericalError, PriorError, WaitingError
 from rrm.files import make_folder, write_atomically
+from rrm.imitation.demos import film_of
 from rrm.nets import products
 from rrm.registry import lookup
+from rrm.rendering import renderer
 from rrm.training.build import DEMOS, NO_RESULTS, Assembled, Results, assemble, result_of
 from rrm.training.episodes import demonstrate, expert_policy
 from rrm.training.kinds import JOBS, DemosConfig
@@ -75,6 +78,7 @@ def choose_products(earlier: Choice | None) -> Choice:
 def fingerprint(config: JobConfig) -> dict[str, str]:
     """Which world a job is done in: versions of what its task is made of, and `true_reward`, a digest of the task's
     rewards along a fixed random walk, rounded to six digits, so that machines that differ in the last bits agree.
+    What draws its pictures, where OpenGL does; a `RenderingError` where there is none.
     """
     env, rng = make(config.task), np.random.default_rng(0)
     steps, shape = min(_WALK, env.horizon), env.action_space.shape
@@ -84,11 +88,14 @@ def fingerprint(config: JobConfig) -> dict[str, str]:
     finally:
         env.close()
     digest = hashlib.sha256(" ".join(f"{reward:.6f}" for reward in rewards).encode()).hexdigest()[:16]
-    return {name: version(name) for name in (*config.spec().packages, "numpy", "torch")} | {"true_reward": digest}
+    drawn = {"renderer": renderer().name} if config.needs_opengl else {}
+    versions = {name: version(name) for name in (*config.spec().packages, "numpy", "torch")}
+    return versions | {"true_reward": digest} | drawn
 
 
 def collect(config: DemosConfig, folder: Path, monitor: Monitor, results: Results) -> bool:
-    """Have the expert play, and leave its episodes in `folder/demos.safetensors`. A matter of a minute: no checkpoint.
+    """Have the expert play, and leave its episodes in `folder/demos.safetensors`, and pictures of them beside it. A
+    matter of a minute, or of some where they are drawn: no checkpoint.
 
     True when they are there; False when it was told to stop, and will begin anew.
     """
@@ -99,11 +106,16 @@ def collect(config: DemosConfig, folder: Path, monitor: Monitor, results: Result
         monitor.beat(step, steps_per_s)
         return monitor.should_stop()
 
+    frames = None
+    if config.frames is not None:
+        frames = Frames(config.frames)
+        with monitor.writing():
+            frames.save(film_of(folder / DEMOS))
     source = {"source": "expert", "expert": config.expert.identity, "expert_steps": config.expert.steps}
     demos = demonstrate(
         config.task, policy, config.episodes,
         seed=config.seed, horizon=config.expert.horizon, least_success=config.least_success, source=source,
-        stopped=stopped,
+        repeat=config.expert.action_repeat, frames=frames, by_state=config.expert.task != config.task, stopped=stopped,
     )  # fmt: skip
     if demos is None:
         return False

@@ -12,10 +12,11 @@ from typing import Any, ClassVar, Literal, Self
 
 from pydantic import model_validator
 
-from rrm.config import Count, Fraction, NonNegative
+from rrm.config import CameraConfig, Count, Fraction, NonNegative
+from rrm.envs.spaces import FrameSpace
 from rrm.errors import ConfigError
 from rrm.precision import Precision
-from rrm.training.run_config import CONFIG_VERSION, JobConfig, RunConfig
+from rrm.training.run_config import CONFIG_VERSION, JobConfig, RunConfig, looked_at
 
 
 class DemosConfig(JobConfig):
@@ -26,14 +27,24 @@ class DemosConfig(JobConfig):
     seed: NonNegative = 0  #: of the instances that are played
     expert: RunConfig  #: the run whose policy plays
     episodes: Count = 50
+    camera: CameraConfig | None = None  #: where its pictures are part of them
     least_success: Fraction = 0.8  #: share of the episodes that must succeed, where the task has that notion
     precision: Precision = "float32"
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
-        if self.expert.task != self.task:
+        if self.expert.task != (self.spec().expert or self.task):
             raise ConfigError(f"expert.task: an expert of {self.expert.task} shows nothing of {self.task}")
         return self
+
+    @property
+    def sees_frames(self) -> bool:
+        return self.camera is not None
+
+    @property
+    def frames(self) -> FrameSpace | None:
+        """What is seen of the task; None where nobody looks."""
+        return None if self.camera is None else looked_at(self.spec().spaces.frames, self.camera)
 
     @property
     def method(self) -> str:

@@ -1,7 +1,8 @@
 """The training loop. It drives any agent through any phases: what differs between methods lies behind their seams.
 
 One step, in B-Pref's order: choose an action; learn (feedback when it is due, then an update); step the environment;
-store the transition with its prior value. The update at step t therefore never sees transition t.
+store the transition with its prior value. The update at step t therefore never sees transition t. Steps are counted
+that the environment takes; an action lasts `action_repeat` of them.
 """
 
 from __future__ import annotations
@@ -36,8 +37,9 @@ class Trainer:
         self.step = 0
         self.rows: list[EvalRow] = []  #: evaluations so far, oldest first
         self.streams = Streams(config.seed)
-        self.env = Observer(config.task, config.horizon)
-        self._eval_env = Observer(config.task, config.horizon)
+        self.env, self._eval_env = (
+            Observer(config.task, config.horizon, config.spaces.frames, config.action_repeat) for _ in range(2)
+        )
         parts = assembled(config, self.streams, results)
         self.agent = parts.agent
         self.experience = parts.experience
@@ -52,32 +54,33 @@ class Trainer:
         self._obs = self._reset(seed=int(self.streams.numpy("env").integers(2**31)))
 
     def advance(self) -> None:
-        """One environment step with all the learning that belongs to it.
+        """One action, of one environment step or several, with all the learning that belongs to it.
 
         A `WaitingError` says what the reward needs that is not there yet; nothing of the step has happened.
         """
         phase = next(phase for phase in reversed(self.phases) if phase.begin <= self.step)
+        self.agent.at(self.step)
         phase.source.ask(self.step)
         missing = phase.source.waiting()
         if missing:
             raise WaitingError(missing)
         if phase.random:
-            act = self._explore.uniform(-1.0, 1.0, self.config.spec().spaces.act).astype(np.float32)
+            act = self._explore.uniform(-1.0, 1.0, self.config.spaces.act).astype(np.float32)
         else:
             act = self.agent.act(self._obs, explore=True)
         phase.source.attend(self.step, self.agent)
         if self.step == phase.begin and phase.reset_critic:
             self.agent.reset_critic()
-        due = 0 if phase.random else self.config.agent.updates_at(self.step)
+        due = 0 if phase.random else self.config.agent.updates_at(self.step // self.config.action_repeat)
         for _ in range(phase.first_updates if self.step == phase.begin else due):
             self.agent.update(phase.source.batch(self.agent))
         next_obs, true_reward, terminated, truncated, info = self.env.step(act)
         if not np.isfinite(true_reward):
             raise NumericalError(f"step {self.step}: the true reward is {true_reward}")
         obs, self._obs = self._obs, next_obs
-        raw, prior = (0.0, 0.0) if self.prior is None else self.prior(obs.state, act, info, self.step)
+        raw, prior = (0.0, 0.0) if self.prior is None else self.prior(obs, act, info, self.step)
         step = Transition(
-            obs.state, act, next_obs.state, prior, raw, true_reward, terminated, truncated, obs.newest, next_obs.newest
+            obs.state, act, next_obs.state, prior, raw, true_reward, terminated, truncated, obs.frames, next_obs.frames
         )
         reward = phase.source.reward(step)
         if not np.isfinite(reward):
@@ -90,7 +93,7 @@ class Trainer:
                 source.episode_over(self._return, self._length)
             self._return, self._length = 0.0, 0
             self._obs = self._reset()
-        self.step += 1
+        self.step += self.config.action_repeat
 
     def _reset(self, seed: int | None = None) -> Obs:
         obs = self.env.reset(seed=seed)

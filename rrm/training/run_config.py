@@ -9,6 +9,7 @@ import hashlib
 import json
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self, TypeVar
 
@@ -19,17 +20,21 @@ from rrm.config import (
     KINDS,
     KNOWN,
     PRIOR_ALONE,
-    AgentConfig,
+    AnyAgent,
+    CameraConfig,
     ConfigSection,
     Count,
+    DrqConfig,
     EvaluationConfig,
     ExplorationConfig,
     FeedbackConfig,
     ImitationConfig,
     NonNegative,
     RewardConfig,
+    SacConfig,
     TeacherConfig,
 )
+from rrm.envs.spaces import FrameSpace, Spaces
 from rrm.envs.tasks import TASKS, Task, task
 from rrm.errors import ConfigError, UnknownNameError
 from rrm.precision import PrecisionSetting
@@ -93,6 +98,16 @@ class JobConfig(ConfigSection, ABC):
         """The task's description."""
         return task(self.task)
 
+    @property
+    def sees_frames(self) -> bool:
+        """Whether a camera's pictures are looked at."""
+        return self.spec().spaces.frames is not None
+
+    @property
+    def needs_opengl(self) -> bool:
+        """Whether it can run only where OpenGL draws."""
+        return self.sees_frames and self.spec().needs_opengl
+
 
 class RunConfig(JobConfig):
     """One run. Two runs with equal configurations are the same run."""
@@ -101,7 +116,9 @@ class RunConfig(JobConfig):
 
     steps: Count  #: environment steps
     horizon: Count | None = None  #: steps of an episode where shorter than the task's own
-    agent: AgentConfig = AgentConfig()
+    action_repeat: Count = 1  #: environment steps that an action of the agent lasts; every count of steps is a multiple
+    agent: AnyAgent = SacConfig()
+    camera: CameraConfig = CameraConfig()  #: of tasks that have one, for agents that see its pictures
     reward: RewardConfig = RewardConfig()
     feedback: FeedbackConfig | None = FeedbackConfig()  #: None where no reward is learned
     teacher: TeacherConfig | None = TeacherConfig()  #: likewise
@@ -115,6 +132,7 @@ class RunConfig(JobConfig):
         spec = self.spec()
         if self.horizon is not None and self.horizon > spec.horizon:
             raise ConfigError(f"horizon: {self.horizon} steps is longer than {self.task}'s episode of {spec.horizon}")
+        self._looks_and_counts()
         names, kind = {*LEARNERS, *KINDS}, self.reward.kind
         if self.reward.learner not in names and not is_file_reference(self.reward.learner):
             raise UnknownNameError("learner", self.reward.learner, names)
@@ -137,6 +155,57 @@ class RunConfig(JobConfig):
                 f"{section}.seed_steps are {self.random_steps}"
             )
         return self
+
+    def _looks_and_counts(self) -> None:
+        """Refuse an agent that sees frames where there are none, and counts of steps that an action does not divide."""
+        spec, camera = self.spec(), self.camera
+        if self.sees_frames:
+            if spec.spaces.frames is None:
+                cameras = ", ".join(name for name, each in TASKS.items() if each.spaces.frames)
+                raise ConfigError(
+                    f"agent.kind: {self.agent.kind} sees frames, {self.task} has none; these have: {cameras}"
+                )
+            if camera.view is not None and camera.view not in spec.views:
+                raise UnknownNameError("view", camera.view, spec.views)
+            if self.reward.learner in ("mrn", "finetune"):
+                raise ConfigError(f"reward.learner: {self.reward.learner} does not learn from frames")
+            if self.reward.kind.learned and self.exploration.unsupervised_steps:
+                raise ConfigError("exploration.unsupervised_steps: state entropy is not that of frames; it must be 0")
+        for name, steps in self._counted():
+            if steps % self.action_repeat:
+                raise ConfigError(f"{name}: {steps} is not a multiple of action_repeat, {self.action_repeat}")
+
+    def _counted(self) -> Iterator[tuple[str, int]]:
+        """Every count of environment steps that means something to this run."""
+        yield from (("steps", self.steps), ("horizon", self.episode_steps), ("evaluation.every", self.evaluation.every))
+        yield "exploration.seed_steps", self.random_steps
+        if self.reward.kind.learned and self.feedback is not None:
+            yield from (("feedback.every", self.feedback.every), ("feedback.segment", self.feedback.segment))
+            yield "exploration.unsupervised_steps", self.exploration.unsupervised_steps
+        if self.from_demonstrations:
+            imitation = self.imitation
+            yield from (("imitation.every", imitation.every), ("imitation.window", imitation.window))
+            yield "imitation.switch", imitation.switch
+
+    @property
+    def sees_frames(self) -> bool:
+        """Whether agent and learned reward are shown a camera's pictures."""
+        return self.agent.reads == "frames"
+
+    @property
+    def spaces(self) -> Spaces:
+        """What the agent is told of the task, frames as they are looked at here; none where it does not see them."""
+        spaces = self.spec().spaces
+        return replace(spaces, frames=looked_at(spaces.frames, self.camera) if self.sees_frames else None)
+
+    @property
+    def borrows_encoder(self) -> bool:
+        """Whether the agent begins with the encoder of the run behind the prior `imitation`."""
+        return isinstance(self.agent, DrqConfig) and (self.agent.encoder or self._usual_encoder) == "imitation"
+
+    @property
+    def _usual_encoder(self) -> str:
+        return "imitation" if self.reward.prior == IMITATION else "fresh"
 
     def _feedback_can_be_met(self) -> None:
         if self.feedback is None or self.teacher is None:
@@ -173,7 +242,9 @@ class RunConfig(JobConfig):
 
     @property
     def requires(self) -> tuple[str, ...]:
-        return tuple(run for run in (self.reward.prior_run, self.imitation.demos_run) if run is not None)
+        encoder = getattr(self.agent, "encoder_run", None)
+        runs = (self.reward.prior_run, encoder, self.imitation.demos_run)
+        return tuple(dict.fromkeys(run for run in runs if run is not None))
 
     @property
     def episode_steps(self) -> int:
@@ -204,7 +275,7 @@ class RunConfig(JobConfig):
         if self.reward.kind is KNOWN:
             return "oracle"
         if self.reward.kind is PRIOR_ALONE:
-            return f"sac-{prior}"
+            return f"{self.agent.kind}-{prior}"
         if not prior:
             return learner
         return f"rrm-{prior}" if learner == "pebble" else f"rrm-{learner}-{prior}"
@@ -215,13 +286,13 @@ class RunConfig(JobConfig):
         if reward.prior != IMITATION:
             reward = _defaulted(reward, "prior_run", "squash")
         if not reward.kind.learned:
-            keep = ("learner", "prior", "normaliser", "prior_run", "squash")
-            kept = {name: getattr(reward, name) for name in (keep if reward.kind is PRIOR_ALONE else keep[:1])}
+            keep = {PRIOR_ALONE: ("prior", "normaliser", "prior_run", "squash"), KNOWN: ("factor",)}
+            kept = {name: getattr(reward, name) for name in ("learner", *keep.get(reward.kind, ()))}
             reward = RewardConfig(**kept)
             changes |= {"feedback": None, "teacher": None}
             changes["exploration"] = ExplorationConfig(seed_steps=explore.seed_steps)
         else:
-            reward = _defaulted(reward, *_idle(reward))
+            reward = _defaulted(reward, "factor", *_idle(reward))
             if self.feedback is not None and self.feedback.sampler == "uniform":
                 changes["feedback"] = _defaulted(self.feedback, "pool")
             if not explore.unsupervised_steps:
@@ -236,7 +307,17 @@ class RunConfig(JobConfig):
         changes["reward"] = reward.model_copy(update=digests)
         if self.horizon == TASKS[self.task].horizon:
             changes["horizon"] = None
+        changes["camera"] = self._canonical_camera()
+        if isinstance(self.agent, DrqConfig) and self.agent.encoder == self._usual_encoder:
+            changes["agent"] = _defaulted(self.agent, "encoder")
         return self.model_copy(update=changes)
+
+    def _canonical_camera(self) -> CameraConfig:
+        own, camera = self.spec().spaces.frames, self.camera
+        if own is None or not self.sees_frames:
+            return CameraConfig()
+        as_it_is = {"view": own.view, "size": own.height, "stack": own.stack}
+        return _defaulted(camera, *(name for name, value in as_it_is.items() if getattr(camera, name) == value))
 
     def _canonical_imitation(self) -> ImitationConfig:
         """What matters of the section to this run itself; what matters to those it requires is in their identities."""
@@ -295,6 +376,15 @@ class RunConfig(JobConfig):
             sizes.append(self.feedback.session_size(step, self.steps, queries))
             queries += sizes[-1]
         return sizes
+
+
+def looked_at(own: FrameSpace | None, camera: CameraConfig) -> FrameSpace | None:
+    """A task's own frames as `camera` looks at them."""
+    if own is None:
+        return None
+    height, width = (camera.size, camera.size) if camera.size else (own.height, own.width)
+    view, stack = camera.view or own.view, camera.stack or own.stack
+    return replace(own, height=height, width=width, view=view, stack=stack, quality=camera.quality)
 
 
 def _idle(reward: RewardConfig) -> Iterator[str]:

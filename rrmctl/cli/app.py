@@ -25,7 +25,7 @@ _MACHINE = {errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOSPC, errno.EDQUOT}
 _NAMES = {errno.ENAMETOOLONG, errno.ELOOP}
 
 #: Options that name a file or folder to be written to, or read.
-_PLACES = {"--results", "--experiments", "-o", "--output", "--into", "--prompt"}
+_PLACES = {"--results", "--experiments", "-o", "--output", "--into", "--prompt", "--frames"}
 
 #: For what the libraries here do: a thread of each is enough, and none sets memory aside.
 _MODEST = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "ARROW_IO_THREADS"), "1") | {

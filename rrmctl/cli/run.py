@@ -102,6 +102,10 @@ def run(
     def wanted(job: Job, status: Status) -> bool:
         return job.id in anew or _is_open(status, retry_failed=retry_failed)
 
+    _require_opengl(
+        plan.configs[job.id].needs_opengl for job in plan.everything if wanted(job, expected.states[job.id])
+    )
+
     def execute(part: Plan) -> tuple[Exit, SweepRecord]:
         sweep, states = _record(screen, layout, part), statuses(layout, part.everything)
         assigned = {
@@ -138,7 +142,7 @@ def resume(
 
     The configurations recorded then are run, whatever the manifests say today.
     """
-    from rrmctl.running.config_file import code_files
+    from rrmctl.running.config_file import code_files, needs_opengl
     from rrmctl.running.supervisor import Terms
     from rrmctl.store.provenance import read_config
     from rrmctl.store.snapshot import Snapshot
@@ -159,16 +163,19 @@ def resume(
         screen.print(f"configurations are missing; this makes them, and the runs: {command}", soft_wrap=True)
     assigned: dict[Job, Terms] = {}
     code_of_users: dict[str, str] = {}  # digests by path
+    drawing = []  # whether the runs need OpenGL
     for run, job in left.items():
         threads = 1
         with contextlib.suppress(UserError):  # the run's own worker refuses it with this message; the others go on
             config = read_config(store.layout.run(run))
             code_of_users |= code_files(config)
             threads = int(config["threads"])
+            drawing.append(needs_opengl(store.layout.run(run), config))
         if run not in gone:
             assigned[job] = Terms(threads=threads, attempt=store.states[run].attempt)
     require_trust(results, code_of_users, trust=trust, asks=_asks())
     slots = workers or _slots(terms.threads for terms in assigned.values())
+    _require_opengl(drawing)
     code = _train(screen, store.layout, assigned, slots, memory, hang_after)
     drain(screen.file)
     finish(store.layout, code, store.sweeps, damaged=bool(store.damage or gone))
@@ -182,6 +189,14 @@ def _slots(threads: Iterable[int]) -> int:
 def _is_open(status: Status, *, retry_failed: bool) -> bool:
     """True for a run that is to be worked on. One that is running elsewhere is: it may be given up there."""
     return status.state != "done" and (status.state not in ("failed", "blocked") or retry_failed)
+
+
+def _require_opengl(needed: Iterable[bool]) -> None:
+    """Refuse runs that need it where there is none: they would all fail."""
+    if any(needed):
+        from rrm.rendering import renderer
+
+        renderer()
 
 
 def _asks() -> bool:

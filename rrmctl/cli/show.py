@@ -5,11 +5,14 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Mapping
 from dataclasses import asdict
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from rrm.files import place, write_atomically
 from rrmctl.cli.options import DEFAULT_RESULTS, ResultsOption
+from rrmctl.cli.screen import tell
 from rrmctl.cli.status import note_damage
 from rrmctl.cli.summary import rerun_command
 from rrmctl.errors import UserError
@@ -27,12 +30,22 @@ def show(
     run: Annotated[str, typer.Argument(metavar="RUN", help="A run's id, or enough of its first digits.")],
     results: ResultsOption = DEFAULT_RESULTS,
     lines: Annotated[int, typer.Option("--lines", min=0, help="Lines of the log's end.")] = 15,
+    frames: Annotated[
+        Path | None,
+        typer.Option("--frames", parser=place, metavar="FILE", help="Write what its agent sees there, as PNG."),
+    ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON for programs.")] = False,
 ) -> None:
-    """Show one run: what it is, where it stands, what it ran with, its last evaluations and the end of its log."""
+    """Show one run: what it is, where it stands, what it ran with, its last evaluations and the end of its log.
+
+    With --frames, what the agent of a run on pictures sees: of those it has stored, or of an episode of random actions.
+    """
     from rrmctl.store.layout import find_run, open_results
 
     layout = open_results(results)
+    if frames is not None:
+        _draw(find_run(layout, run), frames)
+        return
     facts = _facts(layout, find_run(layout, run), lines)
     if as_json:
         plain = json.loads(json.dumps(facts), parse_constant=lambda _: None)  # what is no number is null
@@ -44,6 +57,18 @@ def show(
             console.print(title, style="bold")
             console.print(text, soft_wrap=True)
             console.print()
+
+
+def _draw(folder: RunFolder, path: Path) -> None:
+    from rrmctl.running.pictures import sheet
+    from rrmctl.store.files import storage_error
+
+    png, words = sheet(folder)
+    try:
+        write_atomically(path, png)
+    except OSError as error:
+        raise storage_error(path, error) from error
+    tell(f"{path}: {words}")
 
 
 def _facts(layout: Layout, folder: RunFolder, lines: int) -> dict[str, Any]:

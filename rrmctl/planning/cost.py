@@ -13,9 +13,11 @@ from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from rrm.config import AIRL, DrqConfig
 from rrmctl.planning.toml import read_toml
 
 if TYPE_CHECKING:
+    from rrm.envs.spaces import FrameSpace
     from rrmctl.planning.plan import Plan
     from rrmctl.planning.prerequisites import Config
 
@@ -66,8 +68,12 @@ def tabled_seconds(config: Config, speed: float) -> float:
     learner = _COSTS["learner"].get(reward.learner, _COSTS["learner"]["default"])
     reference = 2 * 256**2
     update = learner["update"] * (agent.layers - 1) * agent.hidden**2 / reference * agent.batch / 512
-    early = max(min(agent.early_steps, config.steps) - config.random_steps, 0)  # where one update is two
-    updates = (max(config.steps - config.random_steps, 0) + early) / agent.update_every
+    looks = 0.0
+    if isinstance(agent, DrqConfig) and config.spaces.frames is not None:
+        look = _COSTS["frames"]["look"] * _convolutions(agent, config.spaces.frames)
+        update = look * agent.batch * _COSTS["frames"]["looks"][reward.learner == AIRL]
+        looks = config.sessions() * config.steps / config.action_repeat / 2 * look  # at all there is, a session
+    updates = agent.updates(config.random_steps // config.action_repeat, config.steps // config.action_repeat)
     evaluated = math.ceil(config.steps / config.evaluation.every) * config.evaluation.episodes * config.episode_steps
     label = labels = 0.0
     if feedback is not None and (sessions := config.sessions()):
@@ -75,5 +81,14 @@ def tabled_seconds(config: Config, speed: float) -> float:
         may_end = reward.target_accuracy < 1 and "target_accuracy" not in reward.settings.ignores
         passes = min(reward.epochs, _COSTS["passes"]) if may_end else reward.epochs
         labels = sessions * passes * min(feedback.batch * (sessions + 1) / 2, reward.capacity)
-    products = (updates * update + labels * label) / speed
+    products = (updates * update + labels * label + looks) / speed
     return float(_COSTS["start"] + (config.steps + evaluated) * step + updates * learner["call"] + products) / 1000
+
+
+def _convolutions(agent: DrqConfig, frames: FrameSpace) -> float:
+    """Million multiplications of an encoder for one look."""
+    total, seen, (height, width) = 0, frames.stack * frames.channels, (frames.height, frames.width)
+    for stride in agent.strides:
+        height, width = ((side - 3) // stride + 1 for side in (height, width))
+        total, seen = total + 9 * seen * agent.channels * height * width, agent.channels
+    return total / 1e6

@@ -43,6 +43,7 @@ AMOUNTS = (
     "exploration.seed_steps", "exploration.unsupervised_steps",
     "evaluation.every",
     *(f"reward.{name}.{amount}" for name, section in RewardConfig.own().items() for amount in section.amounts),
+    "agent.stddev_steps", "agent.perturb_every",
     "imitation.steps", "imitation.seed_steps", "imitation.every", "imitation.window", "imitation.switch",
 )  # fmt: skip
 
@@ -144,6 +145,8 @@ def configure(manifest: Manifest, row: GridRow, method: Method, scale: str, over
     decided = {"task": row.task, "seed": 0, "profile": scale, "reward.learner": method.learner}
     if method.prior is not None:
         decided["reward.prior"] = method.prior.replace(TASK, row.task)
+    if method.agent is not None:
+        decided["agent.kind"] = method.agent
     ratios = _ratios(scale, row.task, method.kind)
     at_paper_scale = (
         Layer.read(f"{manifest.path} [defaults]", manifest.defaults),
@@ -196,7 +199,7 @@ def _layer(manifest: Manifest, kind: str, name: str) -> Layer:
 @cache
 def _ratios(scale: str, task: str, kind: ProfileKind) -> dict[str, tuple[int, int]]:
     """For each amount (the profile's number, the paper's number); their quotient scales a manifest's."""
-    defaults = {name: fields()[name].default for name in AMOUNTS}
+    defaults = {name: fields()[name][0].default for name in AMOUNTS}
     defaults["steps"] = 1  # a task of which no profile knows the length is not scaled
     ours, paper = (defaults | merged(profile_layers(name, task, kind)) for name in (scale, PAPER))
     total = (ours["steps"], paper["steps"])

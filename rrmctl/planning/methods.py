@@ -1,4 +1,4 @@
-"""The names of methods: oracle, LEARNER, sac-PRIOR, rrm-PRIOR, rrm-LEARNER-PRIOR, and a manifest's own."""
+"""The names of methods: oracle, LEARNER, AGENT-PRIOR, rrm-PRIOR, rrm-LEARNER-PRIOR, and a manifest's own."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from collections.abc import Collection
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from rrm.agents import AGENTS
 from rrm.config import KINDS, KNOWN, LEARNED, PRIOR_ALONE
 from rrm.errors import ConfigError, nearest
 from rrm.files import place
@@ -32,6 +33,7 @@ class Method:
     learner: str
     prior: str | None
     settings: Settings = field(default_factory=dict)
+    agent: str | None = None  #: the kind that its name says; None: as the profile has it for the task
 
     @property
     def kind(self) -> ProfileKind:
@@ -41,19 +43,20 @@ class Method:
         return "baseline" if self.prior is None else "residual"
 
 
-def grammar() -> dict[str, tuple[str, str | None]]:
-    """Every name that means a method without a definition: name -> (learner, prior)."""
-    names: dict[str, tuple[str, str | None]] = {"oracle": ("true", None)}
-    names |= {learner: (learner, None) for learner in LEARNERS}
-    names |= {f"sac-{prior}": ("prior", prior) for prior in PRIORS}
-    names |= {f"rrm-{base}-{prior}": (base, prior) for base in LEARNERS if base not in KINDS for prior in PRIORS}
-    return names | {f"rrm-{prior}": (BASE_LEARNER, prior) for prior in PRIORS}
+def grammar() -> dict[str, tuple[str, str | None, str | None]]:
+    """Every name that means a method without a definition: name -> (learner, prior, agent)."""
+    names: dict[str, tuple[str, str | None, str | None]] = {"oracle": ("true", None, None)}
+    names |= {learner: (learner, None, None) for learner in LEARNERS}
+    names |= {f"{agent}-{prior}": ("prior", prior, agent) for agent in AGENTS for prior in PRIORS}
+    names |= {f"rrm-{base}-{prior}": (base, prior, None) for base in LEARNERS if base not in KINDS for prior in PRIORS}
+    return names | {f"rrm-{prior}": (BASE_LEARNER, prior, None) for prior in PRIORS}
 
 
 def vocabulary() -> str:
     """How methods are named, and the learners and priors there are."""
     return (
-        "methods: oracle, LEARNER, sac-PRIOR, rrm-PRIOR, rrm-LEARNER-PRIOR\n"
+        "methods: oracle, LEARNER, AGENT-PRIOR, rrm-PRIOR, rrm-LEARNER-PRIOR\n"
+        f"agents: {', '.join(sorted(AGENTS))}\n"
         f"learners: {', '.join(sorted(LEARNERS))}\npriors: {', '.join(sorted(PRIORS))}"
     )
 
@@ -69,7 +72,8 @@ def method(name: str, manifest: Manifest) -> Method:
                 f'{manifest.path}: unknown method "{name}"{nearest(name, {*names, *manifest.methods})}',
                 f"known: {', '.join(sorted(names))}; or define it in [method.{name}] with learner and prior",
             )
-        return Method(name, *names[name], settings)
+        learner, prior, agent = names[name]
+        return Method(name, learner, prior, settings, agent)
     learners = {*LEARNERS, *(learner for learner, kind in KINDS.items() if kind.known)}
     learner = _named(table.learner or BASE_LEARNER, "learner", learners, folder, section)
     prior = None if table.prior is None else _named(table.prior, "prior", PRIORS, folder, section)

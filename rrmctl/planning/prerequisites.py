@@ -1,8 +1,8 @@
 """What a run needs before it can begin: an expert, its demonstrations, and the prior that is trained on them.
 
 The expert is the oracle's run of seed 0, and all seeds of all methods on a task share one prior, as in the paper. The
-chain is configured by the profile and by the section `imitation` of a run's settings, by nothing else: two experiments
-that differ in their feedback share it.
+chain is configured by the profile and by the section `imitation` of a run's settings, and looks and acts as the run
+does (camera, action repeat); by nothing else: two experiments that differ in their feedback share it.
 """
 
 from __future__ import annotations
@@ -10,7 +10,8 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
-from rrm.config import AIRL, IMITATION
+from rrm.config import AIRL, IMITATION, DrqConfig
+from rrm.errors import ConfigError
 from rrm.files import place
 from rrm.training.kinds import DemosConfig
 from rrm.training.run_config import RunConfig
@@ -33,28 +34,42 @@ def supply(config: RunConfig, scale: str, folder: Path) -> tuple[RunConfig, tupl
 
     Raises:
         UserError: the profile's settings for a run of the chain cannot be run together.
+        ConfigError: the agent is to begin with an encoder of another shape.
         RrmError: `imitation.demos` cannot be read.
     """
-    if config.reward.prior != IMITATION and not config.from_demonstrations:
+    if config.reward.prior != IMITATION and not (config.from_demonstrations or config.borrows_encoder):
         return config, ()
     imitation = config.imitation
+    camera = {f"camera.{name}": value for name, value in config.camera.model_dump(exclude_defaults=True).items()}
+    world = {"action_repeat": config.action_repeat, **camera}
     needed: tuple[Config, ...] = ()
     if imitation.demos is not None:
         path = os.path.realpath(folder / place(imitation.demos))
         imitation = imitation.model_copy(update={"demos": path})
     else:
-        expert = _resolved(config.task, scale, "true")
+        expert = _resolved(config.spec().expert or config.task, scale, "true", **world)
         demos = DemosConfig(
             profile=scale, task=config.task, expert=expert,
             episodes=imitation.episodes, least_success=imitation.expert_success,
+            camera=config.canonical().camera if config.sees_frames else None,
         )  # fmt: skip
         imitation, needed = imitation.model_copy(update={"demos_run": demos.identity}), (expert, demos)
     if config.from_demonstrations:
         return config.model_copy(update={"imitation": imitation}), needed
     section = {f"imitation.{name}": value for name, value in imitation}
-    prior = _resolved(config.task, scale, AIRL, steps=imitation.steps, **section)
-    reward = config.reward.model_copy(update={"prior_run": prior.identity})
-    return config.model_copy(update={"reward": reward}), (*needed, prior)
+    prior = _resolved(config.task, scale, AIRL, steps=imitation.steps, **world, **section)
+    own, lent = (each.agent.looks if isinstance(each.agent, DrqConfig) else "none" for each in (config, prior))
+    if config.borrows_encoder and own != lent:  # the run would refuse it, after the chain
+        raise ConfigError(
+            f"agent.encoder: that of the prior {IMITATION} has {lent} in this profile, this run's agent has {own}: set "
+            'agent.encoder = "fresh", or leave them as they are'
+        )
+    changes: dict[str, object] = {}
+    if config.reward.prior == IMITATION:
+        changes["reward"] = config.reward.model_copy(update={"prior_run": prior.identity})
+    if config.borrows_encoder:
+        changes["agent"] = config.agent.model_copy(update={"encoder_run": prior.identity})
+    return config.model_copy(update=changes), (*needed, prior)
 
 
 def _resolved(task: str, scale: str, learner: str, **decided: object) -> RunConfig:

@@ -7,9 +7,9 @@ import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
-from typing import Annotated, Any, Self, get_args
+from typing import Annotated, Any, Self, Union, get_args, get_origin
 
-from pydantic import BaseModel, TypeAdapter, ValidationError
+from pydantic import BaseModel, ConfigDict, TypeAdapter, ValidationError
 from pydantic.fields import FieldInfo
 
 from rrm.errors import RrmError, nearest
@@ -38,25 +38,37 @@ _DECIDED = {
     "reward.learner_digest": "planning, from the file's content",
     "reward.prior_digest": "planning, from the file's content",
     "reward.prior_run": "planning, from the settings in imitation",
+    "agent.encoder_run": "planning, from the settings in imitation",
     "imitation.demos_digest": "planning, from the file's content",
     "imitation.demos_run": "planning, from the settings in imitation",
 }
 
 
 @cache
-def fields() -> dict[str, FieldInfo]:
-    """Every setting of a `RunConfig`, by dotted name."""
+def fields() -> dict[str, tuple[FieldInfo, ...]]:
+    """Every setting of a `RunConfig`, by dotted name; several where sections of several kinds have one so named."""
 
     def leaves(model: type[BaseModel], prefix: str) -> Iterator[tuple[str, FieldInfo]]:
         for name, described in model.model_fields.items():
-            kinds = get_args(described.annotation) or (described.annotation,)  # a section may be `Section | None`
-            section = next((kind for kind in kinds if isinstance(kind, type) and issubclass(kind, BaseModel)), None)
-            if section is None:
+            sections = _classes(described.annotation)
+            if not sections:
                 yield f"{prefix}{name}", described
-            else:
+            for section in sections:
                 yield from leaves(section, f"{prefix}{name}.")
 
-    return dict(leaves(RunConfig, ""))
+    named: dict[str, tuple[FieldInfo, ...]] = {}
+    for name, described in leaves(RunConfig, ""):
+        named[name] = (*named.get(name, ()), described)
+    return named
+
+
+def _classes(annotation: Any) -> list[type[BaseModel]]:
+    """The sections that a field may hold: one, one or None, or one of several kinds; none where it is a setting."""
+    if isinstance(annotation, type):
+        return [annotation] if issubclass(annotation, BaseModel) else []
+    if get_origin(annotation) is Annotated:
+        return _classes(get_args(annotation)[0])
+    return [section for part in get_args(annotation) for section in _classes(part)]
 
 
 def known_settings() -> list[str]:
@@ -73,8 +85,9 @@ def _sections() -> dict[str, str]:
 @cache
 def _checker(name: str) -> TypeAdapter[Any]:
     """Of a setting's type, with its bounds."""
-    checked: Any = Annotated[fields()[name].annotation, fields()[name]]
-    return TypeAdapter(checked)
+    kinds = {str(described): Annotated[described.annotation, described] for described in fields()[name]}
+    checked: Any = Union[tuple(kinds.values())]  # noqa: UP007  (of so many as there are)
+    return TypeAdapter(checked, config=ConfigDict(strict=True))
 
 
 @dataclass(frozen=True)
@@ -118,12 +131,13 @@ def _checked(name: str, value: Any, where: str) -> Any:
     if isinstance(value, int) and abs(value) > _LARGEST:
         raise UserError(f"{where}: {name} = {value} is too large")
     try:
-        checked = _checker(name).validate_python(value, strict=True)
+        checked = _checker(name).validate_python(value)
         json.dumps(checked, allow_nan=False)
     except ValidationError as error:
         if isinstance(value, float) and value.is_integer():  # 1e5 is how people write 100000
             return _checked(name, int(value), where)
-        raise UserError(f"{where}: {name} = {shown(value)}: {error.errors(include_url=False)[0]['msg']}") from None
+        reasons = dict.fromkeys(mistake["msg"] for mistake in error.errors(include_url=False))
+        raise UserError(f"{where}: {name} = {shown(value)}: {'; '.join(reasons)}") from None
     except (TypeError, ValueError):
         raise UserError(f"{where}: {name} = {shown(value)}: only text, finite numbers, lists and tables") from None
     return checked
@@ -157,12 +171,21 @@ def resolve(layers: Sequence[Layer], cell: str, **decided: Any) -> RunConfig:
     except ValidationError as error:
         mistake = error.errors(include_url=False)[0]
     reason = mistake.get("ctx", {}).get("error")
-    message = str(reason) if isinstance(reason, RrmError) else f"{'.'.join(map(str, mistake['loc']))}: {mistake['msg']}"
+    message = str(reason) if isinstance(reason, RrmError) else _located(mistake["loc"], mistake["msg"])
     name = message.partition(":")[0]
     hint = None
     if (source := origin.get(name)) is not None:
         hint = f"{name} = {source.written.get(name, repr(values[name]))} is set in {source.where}"
     raise UserError(f"{cell}: {message}", hint)
+
+
+def _located(place: Sequence[int | str], reason: str) -> str:
+    """What is wrong with which setting. Pydantic names the kind of a section that has several, between it and those."""
+    name = ".".join(map(str, place))
+    if name in fields():
+        return f"{name}: {reason}"
+    section, kind, *rest = map(str, place)
+    return f"{section}.{'.'.join(rest)}: {reason}; the {section} is {kind}"
 
 
 def parse_assignments(assignments: Iterable[str]) -> dict[str, Any]:

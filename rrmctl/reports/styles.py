@@ -35,8 +35,6 @@ class Style(NamedTuple):
 Looks = Mapping[str, Style]
 Hue = tuple[str, Marker]
 
-#: The family of agents that are trained on a prior alone.
-ALONE = "sac"
 #: The share of white in the colour of a method with a suffix that no table has.
 _WHITE = 0.4
 
@@ -52,6 +50,8 @@ _TABLE: Mapping[str, Any] = _plain(tomllib.loads(Path(__file__).with_suffix(".to
 _HUES: dict[str, Hue] = _TABLE["learners"] | _TABLE["priors"]
 _NEW: Sequence[Hue] = _TABLE["new"]
 _LINES: Mapping[str, Dashes] = _TABLE["lines"]
+#: Families of what is trained on a prior alone: the agents' names.
+ALONE: Sequence[str] = _TABLE["alone"]
 
 
 def styles(methods: Iterable[str]) -> Looks:
@@ -100,7 +100,7 @@ def _tabled(family: str, base: str, suffix: str) -> Style | None:
         white, own_marker, line = _TABLE["variants"][suffix]
         # Dots remain the oracle's; a marker then tells its variants from itself.
         colour, marker = _lighter(colour, white), own_marker or marker or "o"
-    hollow = bool(suffix) or family == ALONE
+    hollow = bool(suffix) or family in ALONE
     return Style(colour, marker, ":" if base == "oracle" else line, "white" if hollow else colour)
 
 
@@ -112,7 +112,7 @@ def _new(family: str, base: str, suffix: str, place: int, free: Sequence[Hue]) -
     line = lines[(at + again) % len(lines)] if family in ("", "rrm") else _LINES[family]
     if suffix:
         return Style(_lighter(_HUES[base][0], _WHITE), marker, ":" if base == "oracle" else line, "white")
-    return Style(colour, marker, line, "white" if again or family == ALONE else colour)
+    return Style(colour, marker, line, "white" if again or family in ALONE else colour)
 
 
 def _lighter(colour: str, white: float) -> str:

@@ -78,6 +78,14 @@ def load_config(folder: RunFolder) -> JobConfig:
     return config
 
 
+def needs_opengl(folder: RunFolder, stored: Mapping[str, Any]) -> bool:
+    """Whether the run of this configuration, as it is stored, needs OpenGL. Raises as `load_config`."""
+    from rrm.envs.tasks import TASKS
+
+    task = TASKS.get(str(stored.get("task")))
+    return task is not None and task.needs_opengl and load_config(folder).needs_opengl
+
+
 def code_files(stored: Mapping[str, Any]) -> dict[str, str]:
     """The digests of the files with code that a run of this configuration would run, by path.
 

@@ -21,6 +21,7 @@ def play_run(folder: RunFolder, episodes: int, seed: int, least_success: float) 
         UserError: the run is not done, or trains no policy.
         RrmError: its networks are not there, or its policy succeeds too rarely.
     """
+    from rrm.buffers.frames import Frames
     from rrm.training.episodes import expert_policy
     from rrm.training.run_config import RunConfig
 
@@ -32,15 +33,18 @@ def play_run(folder: RunFolder, episodes: int, seed: int, least_success: float) 
         raise UserError(f"run {folder.id} trains no policy: it is of kind {config.kind!r}", "name an oracle's run")
     source = {"source": "expert", "expert": config.identity, "expert_steps": config.steps, "method": config.method}
     options = {"seed": seed, "least_success": least_success, "source": source, "horizon": config.horizon}
-    return _play(config.task, expert_policy(config, folder.model), episodes, **options)
+    frames = None if config.spaces.frames is None else Frames(config.spaces.frames)
+    policy = expert_policy(config, folder.model)
+    return _play(config.task, policy, episodes, frames=frames, repeat=config.action_repeat, **options)
 
 
 def play_script(task: str, episodes: int, seed: int, least_success: float) -> Demonstrations:
     """Episodes of the policy that Meta-World ships. Raises RrmError where there is none, or it succeeds too rarely."""
     from rrm.envs.metaworld import scripted_policy
 
-    source = {"source": "scripted"}
-    return _play(task, scripted_policy(task), episodes, seed=seed, least_success=least_success, source=source)
+    policy, source = scripted_policy(task), {"source": "scripted"}
+    options = {"seed": seed, "least_success": least_success, "source": source}
+    return _play(task, lambda obs: policy(obs.state), episodes, **options)
 
 
 def _play(task: str, policy: Any, episodes: int, **options: Any) -> Demonstrations:

@@ -55,6 +55,7 @@ class RunFolder:
     checkpoint = _Entry("checkpoint")  #: the trainer's own folder, gone when the run is done
     model = _Entry("model.safetensors")  #: the final networks
     demos = _Entry("demos.safetensors")  #: the demonstrations, of a run that collects them
+    film = _Entry("demos.safetensors.frames")  #: their pictures, where an agent sees any
     gradients = _Entry("gradients.parquet")  #: norms, of a run that fine-tunes an imitation reward
 
     @property
@@ -69,7 +70,7 @@ class RunFolder:
 
     def trained(self) -> tuple[Path, ...]:
         """What training leaves, to be removed when a run starts from nothing."""
-        return (self.curve, self.provenance, self.checkpoint, self.model, self.demos, self.gradients)
+        return (self.curve, self.provenance, self.checkpoint, self.model, self.demos, self.film, self.gradients)
 
 
 @dataclass(frozen=True)

@@ -68,7 +68,7 @@ def test_what_is_no_finished_run_is_said(tmp_path):
     """Nothing there, another run's folder, a run under way, one without a learned reward."""
     with pytest.raises(ConfigError, match=r"config\.json is not the configuration of a run"):
         rrm.load(tmp_path)
-    small = rrm.AgentConfig(hidden=8, layers=1, batch=8)
+    small = rrm.SacConfig(hidden=8, layers=1, batch=8)
     config = rrm.RunConfig(
         task="toy-car", seed=0, steps=60, agent=small, reward=rrm.RewardConfig(learner="true"),
         exploration=rrm.ExplorationConfig(seed_steps=20), evaluation=rrm.EvaluationConfig(every=30, episodes=1),

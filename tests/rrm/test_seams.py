@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from rrm.agents import AGENTS
-from rrm.config import AgentConfig, EvaluationConfig, ExplorationConfig, RewardConfig
+from rrm.config import CameraConfig, DrqConfig, EvaluationConfig, ExplorationConfig, RewardConfig, SacConfig
 from rrm.envs import TASKS, FrameSpace, Spaces, Task
 from rrm.envs.base import TaskEnv
 from rrm.sources.base import Phase, RewardSource
@@ -18,7 +18,7 @@ from tests.rrm.training.conftest import Recorder
 
 def config(task="toy-car", **fields):
     given = {
-        "task": task, "seed": 0, "steps": 300, "agent": AgentConfig(hidden=16, layers=1, batch=16),
+        "task": task, "seed": 0, "steps": 300, "agent": SacConfig(hidden=16, layers=1, batch=16),
         "reward": RewardConfig(learner="true"), "exploration": ExplorationConfig(seed_steps=50),
         "evaluation": EvaluationConfig(every=100, episodes=1),
     }  # fmt: skip
@@ -42,6 +42,9 @@ class Uniform:
     def __init__(self, config, spaces, streams, *, precision):
         self.updates, self._act_dim = 0, spaces.act
         self._explore, self._evaluate = streams.numpy("uniform"), np.random.default_rng(0)
+
+    def at(self, step):
+        pass
 
     def act(self, obs, *, explore):
         return (self._explore if explore else self._evaluate).uniform(-1, 1, self._act_dim).astype(np.float32)
@@ -159,7 +162,8 @@ def test_a_simulator_of_ones_own(tmp_path, monkeypatch):
 class Filmed(Slope):
     """The same with a camera: a line of pixels, one of which is the ball, and a clock of the episode."""
 
-    def frame(self):
+    def frame(self, space):
+        assert (space.height, space.width, space.quality) == (1, 8, "full")
         picture = np.zeros((1, 8, 2), np.uint8)
         picture[0, int(np.clip(4 + 4 * self.state[0], 0, 7)), 0] = 255
         picture[..., 1] = self._steps or 0
@@ -171,20 +175,21 @@ class Looking(Uniform):
 
     def __init__(self, config, spaces, streams, *, precision):
         super().__init__(config, spaces, streams, precision=precision)
-        self._shape, self.seen = (spaces.frames.stack, spaces.frames.height, spaces.frames.width, 2), 0
+        self._shape, self._window, self.seen = (spaces.frames.stack, 2, 1, 8), config.window, 0
 
     def act(self, obs, *, explore):
         assert obs.frames.shape == self._shape
-        return np.array([4 - obs.frames[-1, 0, :, 0].argmax()], np.float32) / 4
+        return np.array([4 - obs.frames[-1, 0, 0].argmax()], np.float32) / 4
 
     def update(self, batch):
         super().update(batch)
-        before, after = (frames[..., 0, 0, 1].long() for frames in (batch.frames, batch.next_frames))
-        newest = before[:, -1]
-        assert (after[:, -1] == newest + 1).all()
-        for back in range(self._shape[0]):  # an episode's first frame stands for those before it
-            assert (before[:, -1 - back] == (newest - back).clamp(min=0)).all()
-            assert (after[:, -1 - back] == (newest + 1 - back).clamp(min=0)).all()
+        assert batch.reward.shape == (BATCH, self._window)
+        clock = batch.frames[..., 1, 0, 0].long()  # of every picture, one state's after another
+        first = clock[:, self._shape[0] - 1]
+        for position in range(clock.shape[1]):  # an episode's first frame stands for those before it
+            moment = first + REPEAT * (position - self._shape[0] + 1)
+            assert (clock[:, position] == moment.clamp(min=0)).all()
+        assert clock.shape[1] == self._shape[0] + self._window
         self.seen += int(batch.frames.sum())
 
     def figures(self):
@@ -198,11 +203,19 @@ class Looking(Uniform):
         self.seen = state["seen"]
 
 
-def test_a_camera_of_ones_own(tmp_path, monkeypatch):
-    """A task with frames: an agent acts on the newest and learns from those of any step, also after an interruption."""
+BATCH, REPEAT = 16, 2
+
+
+@pytest.mark.parametrize("window", [1, 3])
+def test_a_camera_of_ones_own(tmp_path, monkeypatch, window):
+    """A task with frames: an agent acts on the newest and learns from those of consecutive steps, also after an
+    interruption; each of its steps lasts two of the environment's.
+    """
     spaces = Spaces(2, 1, FrameSpace(height=1, width=8, channels=2, stack=3))
     monkeypatch.setitem(TASKS, "slope", replace(SLOPE, spaces=spaces, entry_point=f"{__name__}:Filmed"))
-    monkeypatch.setitem(AGENTS, "sac", f"{__name__}:Looking")
-    straight = trained(config("slope"), tmp_path / "a")
-    assert straight == trained(config("slope"), tmp_path / "b", (70, 160, None))
+    monkeypatch.setitem(AGENTS, "drqv2", f"{__name__}:Looking")
+    agent = DrqConfig(kind="drqv2", batch=BATCH, n_step=window)
+    given = config("slope", agent=agent, action_repeat=REPEAT, camera=CameraConfig(quality="full"))
+    straight = trained(given, tmp_path / "a")
+    assert straight == trained(given, tmp_path / "b", (70, 160, None))
     assert "'seen': " in straight[-1]

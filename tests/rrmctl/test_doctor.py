@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+import re
+import subprocess
 import sys
 import tempfile
 from collections.abc import Callable, Iterator
@@ -13,6 +15,7 @@ from pathlib import Path
 import pytest
 
 from rrm import tuning
+from rrm.rendering import Renderer
 from rrm.tuning import EXACT, FORMS, ROUNDED, SHAPES, Machine, cell, measure
 from rrmctl import doctor
 from rrmctl.planning.experiments import SHIPPED
@@ -45,12 +48,25 @@ def test_a_clone_that_is_not_installed(monkeypatch: pytest.MonkeyPatch) -> None:
     assert "-m pip install --editable" in first.fix
 
 
-def test_rendering_is_a_note() -> None:
-    """Without an OpenGL backend there is a note with the fix: runs on states need none."""
-    check = doctor.rendering(("no-such-backend",))
-    assert check.state == "note"
-    assert "no-such-backend" in check.found
-    assert "apt-get install" in check.fix
+@pytest.mark.sim
+def test_rendering(opengl: Renderer) -> None:
+    """What draws, and how fast."""
+    check = doctor.rendering()
+    assert (check.state, check.fix) == ("ok", "")
+    assert re.fullmatch(
+        rf"{re.escape(opengl.name)}, by {opengl.backend}; \d+ pictures of 64 x 64 a second", check.found
+    )
+
+
+def test_rendering_is_a_note(no_opengl: dict[str, str]) -> None:
+    """Without OpenGL there is a note with the fix: runs on states need none."""
+    code = "from rrmctl.doctor import rendering; print(*rendering().__dict__.values(), sep='|')"
+    told = subprocess.run([sys.executable, "-c", code], env=no_opengl, capture_output=True, text=True, check=True)
+    _, state, found, fix = told.stdout.strip().split("|")
+    assert state == "note"
+    assert "egl: " in found
+    assert "apt-get" not in found
+    assert fix.startswith("apt-get install libegl1")
 
 
 def results_check(folder: Path) -> doctor.Check:

@@ -1,7 +1,8 @@
 """Language priors: reward functions that a language model wrote from a task's source, frozen before the run.
 
-(Paper, section 3.2 and appendix "Language rewards".) The paper prints one function, walker-walk's; it is here as
-printed. Those of the other tasks are not published: the ones here are stand-ins, as their records say.
+(Paper, section 3.2 and appendix "Language rewards".) The paper prints three functions, walker-walk's and those of the
+two image-based tasks; they are here as printed. The others' are not published: those here are stand-ins, as their
+records say.
 
 A frozen prior is a file `NAME.language.py`: a function, and above it where it came from, a block of comments with TOML
 behind `# `, so that code and provenance have one digest. A model's code is not trusted and never run as a module:

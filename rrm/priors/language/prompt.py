@@ -19,7 +19,7 @@ from collections.abc import Iterator
 from itertools import accumulate
 from pathlib import Path
 
-from rrm.envs.tasks import Task
+from rrm.envs.tasks import TASKS, Task
 from rrm.errors import ConfigError
 from rrm.priors.language.translate import is_text
 from rrm.priors.language.vocabulary import OUTCOMES, TASK_FEATURES
@@ -80,7 +80,7 @@ def make_prompt(task: Task, *, skeleton: bool) -> str:
     A `ConfigError` where there is none, its package is missing, or its reward cannot be taken out.
     """
     source = source_without_reward(task).rstrip("\n")
-    prompt = f"Here is a {_TASKS[task.name][1]} The environment code is:\n\n{source}\n\n{_INSTRUCTION}\n"
+    prompt = f"Here is a {_TASKS[_shown(task)][1]} The environment code is:\n\n{source}\n\n{_INSTRUCTION}\n"
     if not skeleton:
         return prompt
     described = {name: f"    step.{name}: {getattr(PriorStep, name).__doc__}" for name in (*TASK_FEATURES, *OUTCOMES)}
@@ -93,11 +93,17 @@ def make_prompt(task: Task, *, skeleton: bool) -> str:
     return f"{prompt}\n{_SKELETON.format(before=before, after=after)}"
 
 
+def _shown(task: Task) -> str:
+    """The task whose source it is: a camera changes nothing of that."""
+    return task.expert or task.name
+
+
 def source_without_reward(task: Task) -> str:
     """The task's source file without its reward."""
-    if task.name not in _TASKS:
-        raise ConfigError(f"there is no prompt for {task.name}; there is one for: {', '.join(_TASKS)}")
-    package, _, inside = _TASKS[task.name][0].partition("/")
+    if _shown(task) not in _TASKS:
+        known = ", ".join(name for name, each in TASKS.items() if _shown(each) in _TASKS)
+        raise ConfigError(f"there is no prompt for {task.name}; there is one for: {known}")
+    package, _, inside = _TASKS[_shown(task)][0].partition("/")
     spec = importlib.util.find_spec(package)  # found, not imported: simulators take a second to load
     if spec is None or not spec.submodule_search_locations:
         raise ConfigError(f"{package} is not installed; `rrmctl doctor` says how to")

@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from typing import NamedTuple
 
 #: What may be read of a step, and of `step.first`. Neither success nor `info`, where simulators put their rewards.
-TASK_FEATURES = ("hand", "object", "goal", "upright", "clearance")
+TASK_FEATURES = ("hand", "object", "object_start", "goal", "upright", "clearance")
 OUTCOMES = ("torso_upright", "torso_height", "forward_velocity")
 ACCESSORS = frozenset({*TASK_FEATURES, *OUTCOMES, "obs", "act", "first"})
 

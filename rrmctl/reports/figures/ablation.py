@@ -1,6 +1,7 @@
-"""Is the residual needed? For each prior the residual model on it beside SAC on the prior alone, one panel each.
+"""Is the residual needed? For each prior the residual model on it beside the agent on the prior alone, one panel each.
 
-Where an experiment has such pairs (`rrm-P` and `sac-P`), it draws what the learning curves show, a prior at a time.
+Where an experiment has such pairs (`rrm-P` and `sac-P`, or `drqv2-P`), it draws what the learning curves show, a prior
+at a time.
 """
 
 from __future__ import annotations
@@ -35,11 +36,11 @@ def draw(section: Section, settings: Statistics = DEFAULTS) -> Figure:
 def pairs(panel: Panel) -> dict[str, list[Series]]:
     """For priors that stand alone and under a residual: what stands on this one, and what stands on none."""
     named = [(series, *parts(series.label.method)) for series in panel.present()]
-    corrected = {prior for _, family, prior in named if family not in ("", ALONE)}
+    corrected = {prior for _, family, prior in named if family not in ("", *ALONE)}
     return {
         prior: [series for series, other, base in named if other == "" or base == prior]
         for _, family, prior in named
-        if family == ALONE and prior in corrected
+        if family in ALONE and prior in corrected
     }
 
 

@@ -54,14 +54,14 @@ def draw(section: Section, settings: Statistics = DEFAULTS) -> Figure:
 def _residual(section: Section, prior: str | None = None) -> list[Series]:
     """Series with something learned on this prior, or on any."""
     named = [(series, *parts(series.label.method)) for series in section.series if series.n]
-    return [series for series, family, base in named if family not in ("", ALONE) and prior in (None, base)]
+    return [series for series, family, base in named if family not in ("", *ALONE) and prior in (None, base)]
 
 
 def _looks(colour: str) -> Looks:
     """Of each column: the prior alone, the whole reward and the true one as where methods are drawn."""
     truth = style(ORACLE)
     return {
-        "prior_mean": Style(colour, "o", style(f"{ALONE}-{_OPPOSITE}").linestyle, "white"),
+        "prior_mean": Style(colour, "o", style(f"{ALONE[0]}-{_OPPOSITE}").linestyle, "white"),
         "residual_mean": Style(colour, "D", (0, (5, 1, 1, 1)), colour),
         "reward_mean": Style(colour, style(f"rrm-{_OPPOSITE}").marker, "-", colour),
         "true_reward_mean": truth,

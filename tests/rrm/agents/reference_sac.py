@@ -7,7 +7,7 @@ import torch
 from torch import Tensor, nn
 from torch.distributions import Normal, TanhTransform, TransformedDistribution
 
-from rrm.config import AgentConfig
+from rrm.config import SacConfig
 from rrm.nets.mlp import StackedMLP
 from rrm.types import Batch
 
@@ -33,7 +33,7 @@ def unstack(net: StackedMLP) -> nn.ModuleList:
 class ReferenceSac:
     """Textbook soft actor-critic, started from the given networks; `fused` is torch's Adam in one kernel."""
 
-    def __init__(self, config: AgentConfig, actor: StackedMLP, critic: StackedMLP, *, fused: bool = False) -> None:
+    def __init__(self, config: SacConfig, actor: StackedMLP, critic: StackedMLP, *, fused: bool = False) -> None:
         self.config = config
         self.actor = unstack(actor)[0]
         self.critics = unstack(critic)

@@ -5,7 +5,7 @@ import torch
 
 from rrm.agents import AGENTS
 from rrm.agents.sac import Sac
-from rrm.config import AgentConfig, EvaluationConfig, ExplorationConfig, RewardConfig
+from rrm.config import EvaluationConfig, ExplorationConfig, RewardConfig, SacConfig
 from rrm.training.loop import Trainer
 from rrm.training.run_config import RunConfig
 from rrm.types import Batch, EvalRow
@@ -36,7 +36,7 @@ def curve(monkeypatch: pytest.MonkeyPatch, agent: str) -> list[EvalRow]:
     monkeypatch.setitem(AGENTS, "sac", agent)
     trainer = Trainer(
         RunConfig(
-            task="toy-car", seed=0, steps=STEPS, agent=AgentConfig(hidden=64, layers=2, batch=64),
+            task="toy-car", seed=0, steps=STEPS, agent=SacConfig(hidden=64, layers=2, batch=64),
             reward=RewardConfig(learner="true"), feedback=None, teacher=None,
             exploration=ExplorationConfig(seed_steps=200), evaluation=EvaluationConfig(every=250, episodes=4),
         )

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from torch import Tensor, nn
 
 from rrm.agents.sac import Sac
-from rrm.config import AgentConfig
+from rrm.config import SacConfig
 from rrm.envs import Spaces
 from rrm.errors import CheckpointError, NumericalError
 from rrm.nets.mlp import StackedMLP
@@ -21,7 +21,7 @@ from rrm.seeding import Streams
 from rrm.types import Batch, Obs, State
 from tests.rrm.agents.reference_sac import ReferenceSac, unstack
 
-SMALL = AgentConfig(hidden=24, layers=2, batch=16, actor_lr=1e-3, critic_lr=1e-3, alpha_lr=1e-2)
+SMALL = SacConfig(hidden=24, layers=2, batch=16, actor_lr=1e-3, critic_lr=1e-3, alpha_lr=1e-2)
 
 
 def make_batch(rows: int, obs: int, act: int, seed: int) -> Batch:
@@ -66,17 +66,17 @@ def stacked_grads(net: StackedMLP) -> Tensor:
 def test_equals_textbook(obs: int, act: int, hidden: int, layers: int, rows: int, target_every: int, seed: int) -> None:
     """Losses, gradients, parameters and target follow plain autograd over several updates, whatever the sizes."""
     follow_textbook(
-        AgentConfig(hidden=hidden, layers=layers, batch=rows, target_every=target_every, tau=0.1), obs, act, seed
+        SacConfig(hidden=hidden, layers=layers, batch=rows, target_every=target_every, tau=0.1), obs, act, seed
     )
 
 
 @pytest.mark.parametrize("hidden", [8, 24, 130])
 def test_normalised_critics_equal_textbook(hidden: int) -> None:
     """So do critics with layer normalisation."""
-    follow_textbook(AgentConfig(hidden=hidden, batch=32, tau=0.1, critic_norm="layer"), 39, 4, seed=hidden)
+    follow_textbook(SacConfig(hidden=hidden, batch=32, tau=0.1, critic_norm="layer"), 39, 4, seed=hidden)
 
 
-def follow_textbook(config: AgentConfig, obs: int, act: int, seed: int) -> None:
+def follow_textbook(config: SacConfig, obs: int, act: int, seed: int) -> None:
     rows = config.batch
     streams = Streams(seed)
     sac = Sac(config, Spaces(obs, act), streams)

@@ -124,7 +124,7 @@ def test_saved_in_pieces_it_comes_back_whole(tmp_path_factory, episode_lengths, 
             obs=whole.obs[row].numpy(), act=whole.act[row].numpy(), prior=float(whole.prior[row]),
             raw_prior=float(whole.raw_prior[row]), true_reward=float(whole.true_reward[row]),
             next_obs=whole.obs[row + 1].numpy(), terminated=end == 1, truncated=end == 2,
-            frame=np.full((1, 2, 1), row, np.uint8), next_frame=np.full((1, 2, 1), row + 1, np.uint8),
+            frames=np.full((2, 1, 1, 2), row, np.uint8), next_frames=np.full((2, 1, 1, 2), row + 1, np.uint8),
         )  # fmt: skip
         growing.append(step, -1.0)
         if relabel and i % 3 == 0:

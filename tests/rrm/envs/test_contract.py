@@ -17,7 +17,7 @@ from rrm.envs import TASKS, make, task
 from rrm.errors import ConfigError, NumericalError, UnknownNameError
 from tests.rrm.envs.rollouts import HORIZON, actions, digest, roll
 
-NAMES = [pytest.param(t.name, marks=() if t.suite == "toy" else pytest.mark.sim) for t in TASKS.values()]
+NAMES = [pytest.param(t.name, marks=() if t.suite.startswith("toy") else pytest.mark.sim) for t in TASKS.values()]
 every_task = pytest.mark.parametrize("name", NAMES)
 
 
@@ -205,9 +205,11 @@ def test_planning_imports_nothing_heavy():
     """Looking at tasks and checking priors loads neither torch nor gymnasium nor a simulator."""
     code = (
         "import sys; from rrm.envs import TASKS; from rrm.priors import check_prior\n"
-        "from rrm.priors.language import FROZEN\n"
+        "from rrm.priors.language import FROZEN, language\n"
         "for t in TASKS.values():\n"
-        "    for prior in ('proxy', 'language', f'{FROZEN}/{t.name}.language.py:reward'): check_prior(prior, t)\n"
+        "    check_prior('zero', t)\n"
+        "for t in (TASKS[name] for name in language.tasks):\n"
+        "    for prior in ('language', f'{FROZEN}/{t.name}.language.py:reward'): check_prior(prior, t)\n"
         "heavy = {'torch', 'numpy', 'gymnasium', 'metaworld', 'mujoco', 'dm_control', 'cv2', 'scipy'}\n"
         "print(sorted(heavy & set(sys.modules)))"
     )

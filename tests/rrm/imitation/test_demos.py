@@ -137,7 +137,8 @@ def test_scripted_policies_solve_their_tasks():
     """Meta-World's own, through our environment; their actions are clipped into [-1, 1]."""
     from rrm.envs.metaworld import scripted_policy
 
-    played = demonstrate("button-press", scripted_policy("button-press"), 3, seed=0, source={})
+    policy = scripted_policy("button-press")
+    played = demonstrate("button-press", lambda obs: policy(obs.state), 3, seed=0, source={})
     assert played.success == 1.0
     assert np.abs(played.act).max() == 1.0
 

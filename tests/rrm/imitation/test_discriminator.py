@@ -7,7 +7,7 @@ from torch.nn.functional import binary_cross_entropy_with_logits, one_hot
 
 from rrm.config import ImitationConfig
 from rrm.errors import NumericalError
-from rrm.imitation.discriminator import Discriminator
+from rrm.imitation.discriminator import Discriminator, joined
 from rrm.types import Batch
 
 GAMMA = 0.9
@@ -45,7 +45,7 @@ def learned(know_the_policy):
         expert, (s, a) = drawn(rng, expert_probability, 512)
         policy, (s_policy, a_policy) = drawn(rng, POLICY, 512)
         log_prob = np.log(POLICY[np.concatenate([s, s_policy]), np.concatenate([a, a_policy])])
-        net.step(expert, policy, torch.from_numpy(log_prob * know_the_policy).float())
+        net.step(joined(expert, policy), torch.from_numpy(log_prob * know_the_policy).float())
     g = net.g.predict(torch.eye(4), torch.zeros(4, 0)).numpy()
     return g - g.mean()
 
@@ -80,7 +80,7 @@ def test_a_step_is_that_of_autograd_and_torchs_adam(head, pretrain):
     for _ in range(3):
         expert, policy = batch(generator), batch(generator)
         log_prob = torch.randn(12, generator=generator)
-        both = Batch(*(torch.cat(pair) for pair in zip(expert[:6], policy[:6], strict=True)))
+        both = joined(expert, policy)
         label = torch.cat((torch.ones(6), torch.zeros(6)))
         reward = net.g.net.plain(torch.cat((both.obs, both.act), dim=1), g)[0, 0]
         reward = torch.tanh(reward) if head == "tanh" else reward
@@ -95,7 +95,7 @@ def test_a_step_is_that_of_autograd_and_torchs_adam(head, pretrain):
         loss.backward()
         expected = torch.cat([p.grad.flatten() for p in g]).norm()
         adam.step()
-        assert net.step(expert, policy, log_prob) == pytest.approx(float(expected), rel=1e-4)
+        assert net.step(both, log_prob) == pytest.approx(float(expected), rel=1e-4)
     for ours, theirs in zip((*net.g.net.parameters(), *net.h.parameters()), (*g, *h), strict=True):
         torch.testing.assert_close(ours, theirs, rtol=1e-4, atol=1e-5)
 
@@ -117,4 +117,4 @@ def test_a_loss_that_is_not_finite_is_said():
     net = Discriminator(ImitationConfig(hidden=8), 3, 2, GAMMA, generator=torch.Generator().manual_seed(0))
     steps = batch(torch.Generator().manual_seed(2))
     with pytest.raises(NumericalError, match="loss of the discriminator"):
-        net.step(steps, steps, torch.full((12,), float("nan")))
+        net.step(joined(steps, steps), torch.full((12,), float("nan")))

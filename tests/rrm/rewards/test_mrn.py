@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from rrm.agents.sac import Sac
-from rrm.config import AgentConfig, MrnConfig, RewardConfig
+from rrm.config import MrnConfig, RewardConfig, SacConfig
 from rrm.envs import Spaces
 from rrm.rewards.ensemble import EnsembleReward, ResidualReward
 from rrm.rewards.mrn import Mrn
@@ -29,7 +29,7 @@ def mrn(settings=None, kind=ResidualReward):
 
 
 def sac(critic_lr=0.1):
-    return Sac(AgentConfig(hidden=16, layers=2, batch=32, critic_lr=critic_lr), Spaces(OBS, ACT), Streams(0))
+    return Sac(SacConfig(hidden=16, layers=2, batch=32, critic_lr=critic_lr), Spaces(OBS, ACT), Streams(0))
 
 
 def batch(rows=32, seed=0):

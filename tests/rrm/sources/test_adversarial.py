@@ -5,6 +5,7 @@ import pytest
 import torch
 
 from rrm.config import ImitationConfig
+from rrm.imitation.discriminator import Discriminator
 from rrm.seeding import Streams
 from rrm.sources.adversarial import Adversarial
 from rrm.types import Batch, Evaluation, Transition
@@ -22,16 +23,16 @@ class Replay:
     def sample(self):
         return batch()
 
-    def newest(self, count):
-        return batch()
+    transitions = 32
 
-    def spread(self, count):
-        return batch(2, count)
+    def batch(self, numbers):
+        return Batch(*(column[numbers] for column in batch(2) if column is not None))
 
 
 def make(**changes):
-    config, options = CONFIG.model_copy(update=changes), {"precision": "float32", "about": {"task": "toy-car"}}
-    return Adversarial(config, demos(), Replay(), discount=0.9, streams=Streams(0), **options)
+    config, streams = CONFIG.model_copy(update=changes), Streams(0)
+    net = Discriminator(config, 15, 2, 0.9, generator=streams.torch("imitation-init"))
+    return Adversarial(config, demos(), Replay(), net, streams=streams, about={"task": "toy-car"})
 
 
 def train(source, policy):
@@ -96,7 +97,7 @@ def test_no_density_is_all_but_zero():
     source, policy, told = make(), Uniform(), []
     policy.log_prob = lambda obs, act: torch.full((len(obs),), -1000.0)
     step = source.discriminator.step
-    source.discriminator.step = lambda *args: told.append(args[2]) or step(*args)
+    source.discriminator.step = lambda *args: told.append(args[1]) or step(*args)
     train(source, policy)
     torch.testing.assert_close(torch.stack(told), torch.full((3, 8), np.log(0.1 / 4)))
 
@@ -141,11 +142,26 @@ def test_where_g_lies_is_kept_with_it():
     source, expert = make(), demos()
     train(source, Uniform())
     source.evaluated(10, Evaluation(1.0, 1.0))
-    g, run = source.discriminator.g, batch(2, len(expert))
+    g, run = source.discriminator.g, Replay().batch(torch.arange(5) * 32 // 5)
     shown = g.predict(torch.from_numpy(expert.obs), torch.from_numpy(expert.act))
     seen = np.concatenate((shown.numpy(), g.predict(run.obs, run.act).numpy())).astype(np.float64)
     prior = source.legacy()["imitation"]
     assert (prior["mean"], prior["std"]) == pytest.approx((seen.mean(), seen.std(ddof=1)))
+
+
+def test_no_more_is_looked_at_than_the_discriminator_looks_at():
+    """Evenly spread, few at a time, of demonstrations, window and run alike."""
+    source, asked = make(window=8), []
+    net = source.discriminator
+    net.most, net.at_once = 4, 3
+    told = net.reward
+    net.reward = lambda steps: asked.append(steps.obs[:, 0]) or told(steps)
+    source.evaluated(10, Evaluation(1.0, 1.0))
+    assert [len(part) for part in asked] == [3, 1] * 3
+    shown, newest, run = (torch.cat(asked[i : i + 2]) for i in (0, 2, 4))
+    assert shown.tolist() == [0.0, 1.0, 2.0, 3.0]  # of 5, which count their steps
+    assert torch.equal(newest, batch(2).obs[[24, 26, 28, 30], 0])
+    assert torch.equal(run, batch(2).obs[[0, 8, 16, 24], 0])
 
 
 def test_the_figures_variant_rewards_g_itself():

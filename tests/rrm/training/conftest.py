@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from rrm.config import AgentConfig, EvaluationConfig, ExplorationConfig, FeedbackConfig, RewardConfig
+from rrm.config import EvaluationConfig, ExplorationConfig, FeedbackConfig, RewardConfig, SacConfig
 from rrm.training.run_config import RunConfig
 
 
@@ -21,7 +21,7 @@ def tiny():
         reward = RewardConfig(learner=learner, hidden=16, layers=1, epochs=3, **known)
         given = {
             "profile": "test", "task": "toy-car", "seed": 0, "steps": 700, "horizon": 50, "reward": reward,
-            "agent": AgentConfig(hidden=16, layers=1, batch=16),
+            "agent": SacConfig(hidden=16, layers=1, batch=16),
             "feedback": FeedbackConfig(every=150, batch=10, budget=25, segment=10, **sampler),
             "exploration": ExplorationConfig(seed_steps=100, unsupervised_steps=50, reset_updates=5),
             "evaluation": EvaluationConfig(every=250, episodes=2),

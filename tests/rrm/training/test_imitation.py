@@ -12,12 +12,12 @@ from hypothesis import strategies as st
 
 from rrm.checkpoint import decode, encode
 from rrm.config import (
-    AgentConfig,
     EvaluationConfig,
     ExplorationConfig,
     FeedbackConfig,
     ImitationConfig,
     RewardConfig,
+    SacConfig,
 )
 from rrm.envs import task
 from rrm.errors import ConfigError, DemosError, MissingResultError, PriorError
@@ -144,7 +144,7 @@ def test_the_prior_is_bounded_from_the_first_step(tmp_path_factory, states, mean
     prior, act = ImitationPrior(path, spec), np.zeros(2, np.float32)
     source = PriorSource("imitation", prior, "scale", spec, np.random.default_rng(0))
     source.begin_episode(np.zeros(15, np.float32))
-    values = np.array([source(np.full(15, state, np.float32), act, {}, 0) for state in states])
+    values = np.array([source(Obs(np.full(15, state, np.float32)), act, {}, 0) for state in states])
     assert (abs(values) <= 1).all()
     assert values[0, 0] == pytest.approx(np.tanh((max(states[0], 0) - mean) / (std or 1)), rel=1e-5, abs=1e-7)
     assert (np.diff(values[np.argsort(np.maximum(states, 0), kind="stable"), 0]) >= 0).all()
@@ -324,7 +324,6 @@ def test_the_window_leaves_older_transitions_out(imitating, results):
     last = {tuple(row.tolist()) for row in experience.obs[experience.since(150)]}
     drawn = replay.draw(400, torch.Generator().manual_seed(0), newest=50)
     assert {tuple(row.tolist()) for row in drawn.obs} == last
-    assert len(replay.newest(50).obs) == 50
     trainer.close()
 
 
@@ -414,7 +413,7 @@ def test_settings_of_others_change_no_identity(tiny):
 @pytest.mark.sim
 def test_a_task_without_success_is_judged_by_its_return(recorder, tmp_path):
     """On DM-Control no demonstration can fail, and the best evaluation is the one of the highest return."""
-    small = {"agent": AgentConfig(hidden=16, layers=1, batch=16), "evaluation": EvaluationConfig(every=60, episodes=1)}
+    small = {"agent": SacConfig(hidden=16, layers=1, batch=16), "evaluation": EvaluationConfig(every=60, episodes=1)}
     common = {"task": "walker-walk", "seed": 0, "horizon": 20, "steps": 120, **small}
     expert = RunConfig(
         reward=RewardConfig(learner="true"), exploration=ExplorationConfig(seed_steps=40), **common

@@ -9,7 +9,7 @@ import textwrap
 import pytest
 import torch
 
-from rrm.config import AgentConfig, EvaluationConfig, MrnConfig, SurfConfig, TeacherConfig
+from rrm.config import EvaluationConfig, MrnConfig, SacConfig, SurfConfig, TeacherConfig
 from rrm.errors import NumericalError
 from rrm.training.jobs import train
 from rrm.training.loop import Trainer
@@ -20,7 +20,7 @@ METHODS = [
     {},
     {"prior": "proxy"},
     {"prior": "language", "inputs": "standard"},
-    {"agent": AgentConfig(hidden=16, layers=2, batch=16, critic_norm="layer", early_steps=400, target_every=1)},
+    {"agent": SacConfig(hidden=16, layers=2, batch=16, critic_norm="layer", early_steps=400, target_every=1)},
     {
         "prior": "proxy", "normaliser": "zscore", "sampler": "kcenter-entropy",
         "teacher": TeacherConfig(beta=2.0, gamma=0.9, mistake=0.1, skip=0.1, equal=0.1),

@@ -2,7 +2,7 @@
 
 import pytest
 
-from rrm.config import AgentConfig, EvaluationConfig, ExplorationConfig, FeedbackConfig, MrnConfig, RewardConfig
+from rrm.config import EvaluationConfig, ExplorationConfig, FeedbackConfig, MrnConfig, RewardConfig, SacConfig
 from rrm.training.jobs import train
 from rrm.training.run_config import RunConfig
 
@@ -12,7 +12,7 @@ RATE = {"actor_lr": 1e-3, "critic_lr": 1e-3, "alpha_lr": 1e-3}
 def run(reward, steps):
     return RunConfig(
         profile="test", task="toy-car", seed=0, steps=steps, reward=reward,
-        agent=AgentConfig(hidden=64, layers=2, batch=64, **RATE),
+        agent=SacConfig(hidden=64, layers=2, batch=64, **RATE),
         feedback=FeedbackConfig(every=500, batch=20, budget=400, segment=25),
         exploration=ExplorationConfig(seed_steps=500), evaluation=EvaluationConfig(every=1000, episodes=20),
     )  # fmt: skip

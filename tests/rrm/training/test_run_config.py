@@ -1,17 +1,23 @@
 """A run's configuration and its identity."""
 
+import re
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
 from rrm.config import (
-    AgentConfig,
+    CameraConfig,
+    DrmConfig,
+    DrqConfig,
+    EvaluationConfig,
     ExplorationConfig,
     FeedbackConfig,
     ImitationConfig,
     MrnConfig,
     RewardConfig,
+    SacConfig,
     SurfConfig,
     TeacherConfig,
 )
@@ -38,7 +44,8 @@ OTHER = {int: lambda v: v + 1, float: lambda v: v * 0.5 if v else 0.25, str: Non
 SPECIAL = {
     "agent": {"kind": None, "critic_norm": "layer"}, "evaluation": {"success": "last"}, "teacher": {"beta": 1.0},
     "reward": {"learner": "true", "prior": "proxy", "normaliser": None, "surf": None, "mrn": None,
-               "bound": None, "penalty": None, "inputs": "standard", "prior_run": None, "squash": None},
+               "bound": None, "penalty": None, "inputs": "standard", "prior_run": None, "squash": None,
+               "most_steps": 50, "factor": None},
     "feedback": {"sampler": "uniform", "schedule": "decay"}, "exploration": {"neighbours": None},
 }  # fmt: skip
 NOT_NUMBERS = {"options", "prior_digest", "learner_digest", "deterministic"}
@@ -67,6 +74,69 @@ def test_anything_that_can_change_numbers_changes_the_identity():
     assert len(changed) > 40
     identities = {name: config.identity for name, config in changed.items()} | {"base": run().identity}
     assert len(set(identities.values())) == len(identities), identities
+
+
+def on_images(**fields):
+    given = {
+        "task": "button-press-image", "seed": 0, "steps": 100_000, "action_repeat": 2, "agent": DrmConfig(kind="drm"),
+        "exploration": ExplorationConfig(seed_steps=4000),
+    }  # fmt: skip
+    return RunConfig(**given | fields)
+
+
+def test_likewise_on_images():
+    """Whatever an agent on images is told, and how its task is looked at, makes another run."""
+    agents = {"strides": (2, 1), "encoder": "imitation", "encoder_run": "0" * 16}
+    cameras = {"view": "corner", "size": 48, "stack": 2, "quality": "full"}
+    agent, kept = DrmConfig(kind="drm"), {"kind"}
+    other_kind = on_images(agent=DrqConfig(kind="drqv2"))
+    changed = {"itself": on_images(), "action_repeat": on_images(action_repeat=1), "kind": other_kind}
+    for field in DrmConfig.model_fields.keys() - kept:
+        value = getattr(agent, field)
+        other = agents[field] if field in agents else OTHER[type(value)](value)
+        changed[field] = on_images(agent=agent.model_copy(update={field: other}))
+    changed |= {field: on_images(camera=CameraConfig(**{field: value})) for field, value in cameras.items()}
+    assert len({config.identity for config in changed.values()}) == len(changed) > 25
+
+
+def test_what_is_said_of_a_camera_that_is_so_anyway():
+    """Named or not, the task's own view is the same run; a run that sees no frames has no camera."""
+    own = CameraConfig(view="corner4", size=64, stack=3, quality="fast")
+    assert on_images(camera=own).identity == on_images().identity
+    blind = on_images(agent=SacConfig())
+    assert blind.spaces.frames is None
+    assert on_images(agent=SacConfig(), camera=CameraConfig(size=48)).identity == blind.identity
+
+
+@pytest.mark.parametrize(
+    ("changes", "told"),
+    [
+        ({"task": "button-press"}, "sees frames, button-press has none"),
+        ({"steps": 100_001}, "steps: 100001 is not a multiple of action_repeat, 2"),
+        ({"feedback": FeedbackConfig(segment=25)}, "feedback.segment: 25 is not a multiple"),
+        ({"evaluation": EvaluationConfig(every=5001)}, "evaluation.every: 5001 is not a multiple"),
+        ({"reward": RewardConfig(learner="mrn")}, "mrn does not learn from frames"),
+        ({"exploration": ExplorationConfig(unsupervised_steps=2000)}, "state entropy is not that of frames"),
+        ({"camera": CameraConfig(view="cornr")}, 'did you mean "corner'),
+    ],
+)  # fmt: skip
+def test_what_does_not_go_with_frames_is_refused(changes, told):
+    with pytest.raises(ValidationError, match=re.escape(told)):
+        on_images(**changes)
+
+
+def test_an_encoder_is_borrowed_on_the_prior_it_belongs_to():
+    """Without a word it is that of the prior `imitation`, where the agent stands on that; both ways it can be told."""
+
+    def borrows(prior, encoder):
+        return on_images(reward=RewardConfig(prior=prior), agent=DrqConfig(kind="drqv2", encoder=encoder))
+
+    own = [("penalty", None), ("penalty", "fresh"), ("imitation", "fresh")]
+    lent = [("imitation", None), ("imitation", "imitation"), ("penalty", "imitation")]
+    assert not any(borrows(*given).borrows_encoder for given in own)
+    assert all(borrows(*given).borrows_encoder for given in lent)
+    assert borrows("imitation", None).identity == borrows("imitation", "imitation").identity
+    assert borrows("penalty", None).identity == borrows("penalty", "fresh").identity
 
 
 def test_what_cannot_change_numbers_does_not():
@@ -200,7 +270,7 @@ def test_methods_are_named_as_in_the_tables(fields, method):
             "reward.surf.crop: 5 steps more or less; 4 at the most",
         ),
         (
-            {"agent": AgentConfig(update_every=3), "reward": RewardConfig(learner="mrn")},
+            {"agent": SacConfig(update_every=3), "reward": RewardConfig(learner="mrn")},
             "reward.mrn.every: 10000 is not a multiple of agent.update_every, 3",
         ),
     ],

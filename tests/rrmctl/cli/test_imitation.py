@@ -23,13 +23,27 @@ TOY = [
 ]  # fmt: skip
 
 
+#: The same on the task with a camera, as an experiment of one's own.
+SEEN = """
+title = "Imitation by pictures"
+reproduces = ["r"]
+rule = "r"
+grid = { tasks = ["toy-car-image"], methods = ["rrm-imitation"] }
+"""
+
+
 @pytest.mark.slow
-def test_from_nothing_killed_and_resumed(tmp_path: Path) -> None:
+@pytest.mark.parametrize("manifest", [None, SEEN], ids=["states", "pictures"])
+def test_from_nothing_killed_and_resumed(tmp_path: Path, manifest: str | None) -> None:
     """SIGKILL at every stage of the chain; it ends as undisturbed, bit for bit, each need met once for two seeds."""
+    asked = TOY
+    if manifest is not None:
+        (tmp_path / "toy-car.toml").write_text(manifest)
+        asked = ["toy-car", "--experiments", str(tmp_path), "--profile", "smoke", "--seeds", "2"]
     quiet, loud = tmp_path / "quiet", tmp_path / "loud"
-    assert call("run", *TOY, "--results", quiet).exit_code == 0
+    assert call("run", *asked, "--results", quiet).exit_code == 0
     for wait in (5.0, 8.0, 8.0):
-        program = start("run", *TOY, "--workers", "1", "--results", loud)
+        program = start("run", *asked, "--workers", "1", "--results", loud)
         time.sleep(wait)
         (sweep,) = read_sweeps(Layout(loud))
         for job in sweep.everything:
@@ -44,7 +58,7 @@ def test_from_nothing_killed_and_resumed(tmp_path: Path) -> None:
     assert len(Layout(loud).run_ids()) == 5
     assert numbers(loud) == numbers(quiet)
     for run in Layout(loud).run_ids():
-        for name in ("model.safetensors", "demos.safetensors"):
+        for name in ("model.safetensors", "demos.safetensors", "demos.safetensors.frames"):
             files = [root / "runs" / run / name for root in (quiet, loud)]
             assert files[0].exists() == files[1].exists()
             assert not files[0].exists() or files[0].read_bytes() == files[1].read_bytes()
@@ -53,7 +67,7 @@ def test_from_nothing_killed_and_resumed(tmp_path: Path) -> None:
     report = call("report", "iqm", "toy-car", "--format", "csv", "--results", loud).stdout
     assert "rrm-imitation" in report
     assert "airl" not in report
-    again = call("run", *TOY, "--results", loud)
+    again = call("run", *asked, "--results", loud)
     assert again.exit_code == 0
     assert "5 done already" in again.stderr
 

@@ -335,9 +335,9 @@ def schema_of(name: str) -> dict[str, Any]:
     whole = RunConfig.model_json_schema()
     found: dict[str, Any] = whole
     for part in name.split("."):
-        options = [found, *found.get("anyOf", ())]
-        refs = [option["$ref"].rpartition("/")[2] for option in options if "$ref" in option]
-        found = (whole["$defs"][refs[0]] if refs else found)["properties"][part]
+        options = [found, *found.get("anyOf", ()), *found.get("oneOf", ())]
+        refs = [whole["$defs"][option["$ref"].rpartition("/")[2]] for option in options if "$ref" in option]
+        found = next(section["properties"][part] for section in refs or [found] if part in section["properties"])
     return found
 
 
@@ -347,6 +347,7 @@ WRONG_KIND = {
     "number": ['"1"', "true", "[1]", "{a=1}", "nan", "inf", "-inf", "one"],
     "boolean": ["0", "2", '"true"', "yes", "[true]", "nan"],
     "string": ["1", "nan", "true", '["x"]', "{}", "07:32:00"],
+    "array": ["1", "x", "[1.5]", '["x"]', "{}"],
     "object": ["1", "x", "[1]", "nan", "{a=nan}", "{a=1979-01-01}"],
 }
 

@@ -39,7 +39,7 @@ def test_list() -> None:
     lines = {line.split()[0]: line for line in result.stdout.splitlines()}
     assert {path.stem for path in EXPERIMENTS.glob("*.toml")} < set(lines)
     assert "Fig. mainbox" in lines["main-results"]
-    assert "300" in lines["main-results"]
+    assert "400" in lines["main-results"]
     assert "language" in lines["priors:"]
     assert "pebble" in lines["learners:"]
     assert lines["profiles:"] == f"profiles: {', '.join(profiles())}"

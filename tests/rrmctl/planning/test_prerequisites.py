@@ -155,3 +155,35 @@ def test_what_planning_decides_cannot_be_set() -> None:
     for key in ("reward.prior_run", "imitation.demos_run", "imitation.demos_digest"):
         with pytest.raises(UserError, match="cannot be set here"):
             make_plan(MAIN, overrides=[f"{key}=0123456789abcdef"])
+
+
+def test_the_chain_of_an_image_task() -> None:
+    """A state's expert acts as the run does, and is filmed as the run looks; whoever borrows the encoder needs all."""
+    encoder = load(EXPERIMENTS / "image-encoder.toml")
+    chosen = ["camera.size=40", "action_repeat=5"]
+    plan = make_plan(encoder, profile="smoke", tasks=["button-press-image"], seeds=1, overrides=chosen)
+    expert, demos, airl = (plan.configs[job.id] for job in plan.needed)
+    assert isinstance(expert, RunConfig)
+    assert isinstance(demos, DemosConfig)
+    assert isinstance(airl, RunConfig)
+    assert (expert.task, expert.agent.kind, expert.action_repeat) == ("button-press", "sac", 5)
+    assert demos.frames == airl.spaces.frames
+    assert demos.frames is not None
+    assert demos.frames.planar == (3, 40, 40)
+    assert (demos.sees_frames, airl.action_repeat) == (True, 5)
+    borrowing = {job.method: job.requires for job in plan.jobs}
+    assert borrowing.pop("oracle") == ()
+    assert set(borrowing.values()) == {(airl.identity,)}
+    main = make_plan(MAIN, profile="smoke", tasks=["button-press-image"], seeds=1)
+    assert {job.method for job in main.jobs if job.requires} == {"rrm-imitation"}
+
+
+def test_an_encoder_of_another_shape_is_refused_before_anything_is_trained() -> None:
+    """Unless the run's agent begins with a fresh one."""
+    chosen = {"profile": "smoke", "tasks": ["button-press-image"], "methods": ["rrm-imitation"], "seeds": 1}
+    with pytest.raises(
+        UserError, match=r"agent\.encoder: that of the prior imitation has 4 channels .* has 8 channels"
+    ):
+        make_plan(MAIN, **chosen, overrides=["agent.channels=8"])  # type: ignore[arg-type]
+    fresh = ["agent.channels=8", "agent.encoder=fresh"]
+    assert make_plan(MAIN, **chosen, overrides=fresh).jobs  # type: ignore[arg-type]

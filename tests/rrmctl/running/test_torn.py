@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from rrm.config import AgentConfig, EvaluationConfig, ExplorationConfig, FeedbackConfig, RewardConfig
+from rrm.config import EvaluationConfig, ExplorationConfig, FeedbackConfig, RewardConfig, SacConfig
 from rrm.training import jobs
 from rrm.training.run_config import RunConfig
 from rrm.tuning import Choice
@@ -26,7 +26,7 @@ pytestmark = pytest.mark.slow
 CONFIG = RunConfig(
     profile="test", task="toy-car", seed=0, steps=300, horizon=50,
     reward=RewardConfig(learner="pebble", prior="proxy", hidden=16, layers=1, epochs=2),
-    agent=AgentConfig(hidden=16, layers=1, batch=16),
+    agent=SacConfig(hidden=16, layers=1, batch=16),
     feedback=FeedbackConfig(every=100, batch=5, budget=10, segment=10),
     exploration=ExplorationConfig(seed_steps=60),
     evaluation=EvaluationConfig(every=60, episodes=1),

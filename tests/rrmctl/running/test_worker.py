@@ -359,6 +359,7 @@ class CountConfig(ConfigSection):
     threads: int = 1
     method: ClassVar[str] = "count"
     requires: ClassVar[tuple[str, ...]] = ()
+    needs_opengl: ClassVar[bool] = False
     identity: ClassVar[str] = "00000000c0c0c0c0"
     cell: ClassVar[str] = "00000000c0c0c0c0"
 
