@@ -175,7 +175,8 @@ def profile_layers(scale: str, task: str, kind: ProfileKind) -> tuple[Layer, ...
             settings = table.get(section, {}) if named is None else table.get(section, {}).get(named, {})
             where = f"{PATH.name} [{name}.{section}" + (f".{named}" if named else "")
             common = {key: value for key, value in settings.items() if key not in get_args(ProfileKind)}
-            layers += [Layer.read(f"{where}]", common), Layer.read(f"{where}.{kind}]", settings.get(kind, {}))]
+            own = settings.get(kind, {})
+            layers += [Layer.read(f"{where}]", common, usual=True), Layer.read(f"{where}.{kind}]", own, usual=True)]
     return tuple(layers)
 
 

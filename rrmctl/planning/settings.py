@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cache
 from typing import Annotated, Any, Self, Union, get_args, get_origin
 
@@ -21,6 +21,9 @@ from rrmctl.planning.toml import refuse_odd
 
 #: Larger integers do not survive JSON and parquet.
 _LARGEST = 2**53
+
+_AGENT = "agent."
+_KIND = f"{_AGENT}kind"
 
 #: Text that needs no quotes after --set: a word, or the path of a file.
 _BARE = re.compile(r"[\w-]+|[\w~./-]*[/.][A-Za-z][\w./-]*")
@@ -97,11 +100,28 @@ class Layer:
     where: str
     settings: Mapping[str, Any] = field(hash=False)  #: by dotted name
     written: Mapping[str, str] = field(default_factory=dict, hash=False)  #: as messages show what is written otherwise
+    usual: bool = False  #: of what is not asked for by name: what another kind of agent has not is passed over
 
     @classmethod
-    def read(cls, where: str, tree: Any) -> Self:
+    def read(cls, where: str, tree: Any, *, usual: bool = False) -> Self:
         """The layer of a tree of tables; an unknown key, a wrong type or what is decided elsewhere is refused."""
-        return cls(where, {name: _checked(name, value, where) for name, value in _walk(tree, "", where)})
+        return cls(where, {name: _checked(name, value, where) for name, value in _walk(tree, "", where)}, usual=usual)
+
+    def of_agent(self, kind: str) -> Self:
+        """Without what this kind of agent has not, where that is not asked for by name."""
+        if not self.usual or not any(name.startswith(_AGENT) for name in self.settings):
+            return self
+        own = {f"{_AGENT}{name}" for name in _agents()[kind].model_fields}
+        left = {name: value for name, value in self.settings.items() if not name.startswith(_AGENT) or name in own}
+        return replace(self, settings=left)
+
+
+@cache
+def _agents() -> dict[str, type[BaseModel]]:
+    """The sections of agents, by kind."""
+    return {
+        get_args(s.model_fields["kind"].annotation)[0]: s for s in _classes(RunConfig.model_fields["agent"].annotation)
+    }
 
 
 def _walk(tree: Any, prefix: str, where: str) -> Iterator[tuple[str, Any]]:
@@ -154,6 +174,8 @@ def resolve(layers: Sequence[Layer], cell: str, **decided: Any) -> RunConfig:
     Settings that do not go together (a segment longer than an episode, feedback after the end) are refused; the hint
     names the layer that the offending one came from.
     """
+    kind = (merged(layers) | decided).get(_KIND, "sac")
+    layers = [layer.of_agent(kind) for layer in layers]
     values, origin = merged(layers), {name: layer for layer in layers for name in layer.settings}
     if "steps" not in values:
         raise UserError(

@@ -139,7 +139,7 @@ def test_what_a_run_has_stored(tmp_path: Path) -> None:
     for row in range(40):
         frames.append(np.full(space.planar, row, np.uint8))
     run.checkpoint.mkdir()
-    frames.save(run.checkpoint)
+    frames.save(run.checkpoint / "frames.bin")
     with (run.checkpoint / "frames.bin").open("ab") as file:
         file.write(b"half of a picture")
     before = (run.checkpoint / "frames.bin").read_bytes()
