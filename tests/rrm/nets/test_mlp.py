@@ -51,7 +51,8 @@ def test_equals_linear_layers(shape: dict[str, int], rows: int, shared: bool, se
     assert own.grad is not None
 
     def close(theirs: Tensor, ours: Tensor) -> None:
-        torch.testing.assert_close(ours, theirs, rtol=1e-4, atol=1e-5 + 1e-5 * theirs.abs().max().item())
+        exact = 1e-4 if shape["normalised"] else 1e-5  # a row that hardly varies is enlarged, and so is its rounding
+        torch.testing.assert_close(ours, theirs, rtol=1e-4, atol=exact * (1 + theirs.abs().max().item()))
 
     there = Pass(net, x, columns=columns)
     close(expected.detach(), there.forward().transpose(1, 2))
