@@ -188,6 +188,19 @@ def test_fitting_stops_once_the_labels_are_learned():
     assert Pebble(reward(EnsembleReward), endless, np.random.default_rng(0)).fit(Labels(100))["epochs"] == 7
 
 
+@pytest.mark.parametrize("most", [1, 6, 7, 10, 1000])
+def test_a_session_takes_so_many_steps_at_the_most(most, monkeypatch):
+    """Also in the middle of a pass, whose accuracy is then that of the pairs it came to."""
+    config, steps = CONFIG.model_copy(update={"target_accuracy": 1.0, "epochs": 4, "most_steps": most}), []
+    learner = Pebble(reward(EnsembleReward), config, np.random.default_rng(0))
+    monkeypatch.setattr(learner, "_step", lambda: steps.append(1))
+    fitted = learner.fit(Labels(100))  # seven steps a pass
+    assert len(steps) == min(most, 28)
+    assert fitted["epochs"] == min(-(-most // 7), 4)
+    assert 0 <= fitted["label_accuracy"] <= 1
+    assert 0.3 < fitted["reward_loss"] / config.members < 2  # about log 2 for each member, untrained
+
+
 def test_ties_count_in_the_loss_and_not_in_the_accuracy():
     """All pairs equal: no accuracy, and a loss of at least ln 2 a member; some equal: the rest is still learned."""
     labels = Labels(32)
