@@ -21,6 +21,8 @@ import pytest
 PACKAGE = "@sparticuz/chromium"
 VERSION = "147.0.0"
 SHA256 = "18fe5404ce845594cd7d592fc07f37a19514079ba4d9c27192ad8b908743f16b"
+#: What finds in a page what keeps people from using it.
+AXE = ("axe-core", "4.14.1", "e6b0ce02b84d892e2e33e403485e7f3d6c29e2be6df65daf44d89ba564139745")
 
 FOLDER = Path(sys.prefix) / "browser"
 CHROMIUM = FOLDER / "chromium"
@@ -92,26 +94,40 @@ def install():
     if (platform.system(), platform.machine()) != ("Linux", "x86_64"):
         raise NoBrowserError(f"the browser of {PACKAGE} is for Linux on x86-64; {VARIABLE} can name another Chromium")
     with tempfile.TemporaryDirectory(dir=sys.prefix) as scratch:
-        unpack(download(Path(scratch)), Path(scratch) / "new")
+        unpack(download(Path(scratch), PACKAGE, VERSION, SHA256), Path(scratch) / "new")
         shutil.rmtree(FOLDER, ignore_errors=True)
         (Path(scratch) / "new").rename(FOLDER)
     (FOLDER / "fonts.conf").write_text(_FONTS.format(folder=FOLDER))
     (FOLDER / "version").write_text(VERSION)
 
 
-def download(folder):
-    """The package's archive.
+def axe():
+    """The source of axe, fetched once; without it a test is skipped, or fails where a browser is needed."""
+    kept = FOLDER.with_name(f"axe-{AXE[1]}.js")
+    if not kept.is_file():
+        try:
+            with tempfile.TemporaryDirectory() as scratch:
+                archive = download(Path(scratch), *AXE)
+        except NoBrowserError as error:
+            (pytest.fail if is_needed() else pytest.skip)(str(error))
+        with tarfile.open(fileobj=io.BytesIO(archive)) as package:
+            kept.write_bytes(package.extractfile("package/axe.min.js").read())
+    return kept.read_text()
+
+
+def download(folder, name, version, sha256):
+    """A package's archive.
 
     Raises:
         NoBrowserError: npm or its registry cannot be had, or the archive is another one.
     """
-    command = [npm(), "pack", "--silent", f"{PACKAGE}@{VERSION}", "--pack-destination", str(folder)]
+    command = [npm(), "pack", "--silent", f"{name}@{version}", "--pack-destination", str(folder)]
     ended = subprocess.run(command, capture_output=True, text=True, check=False)
     if ended.returncode:
         raise NoBrowserError(f"`{' '.join(command)}` failed: {ended.stderr.strip()}")
     data = (folder / ended.stdout.split()[-1]).read_bytes()
-    if hashlib.sha256(data).hexdigest() != SHA256:
-        raise NoBrowserError(f"{PACKAGE} {VERSION} is not what it was: its digest differs from the one in {__file__}")
+    if hashlib.sha256(data).hexdigest() != sha256:
+        raise NoBrowserError(f"{name} {version} is not what it was: its digest differs from the one in {__file__}")
     return data
 
 

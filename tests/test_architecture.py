@@ -21,6 +21,7 @@ from rrm.registry import lookup
 from rrm.rewards import LEARNERS
 from rrm.teachers import TEACHERS
 from rrmctl.planning import profiles
+from tests.robot import robot
 
 ROOT = Path(__file__).parents[1]
 
@@ -34,13 +35,18 @@ KNOW_RRM = {
     ),  # names and settings become configurations
     "planning.cost",  # agents differ in what an update of theirs costs
     *("running.experts", "running.pictures"),  # demonstrations that people ask for, and what an agent sees
+    "running.deployments",  # and episodes at a workplace
+    "running.film",  # policies play to be seen
     *("running.config_file", "running.worker"),  # a configuration's way into the process that trains
+    *("labelling.renderer", "labelling.practice"),  # episodes are lived again to be seen, and made to be practised on
+    "cli.deploy",  # cameras are calibrated by the library
     "cli.prior",  # candidates of a language model become priors of the library
 }
 #: Light, and the one place for what they say: the version, tasks and how they are scored, errors, files, the machine.
 FACTS = {
     *("rrm", "rrm.envs.tasks", "rrm.errors", "rrm.files", "rrm.parquet", "rrm.environ", "rrm.toml"),
     *("rrm.hardware", "rrm.precision", "rrm.tuning", "rrm.rendering"),
+    *("rrm.teachers.labels", "rrm.teachers.published"),  # what people are asked, and what they answered
 }
 
 #: Floors of either package: a module imports from floors below its own, or from its own room (the first part of its
@@ -53,14 +59,14 @@ FLOORS = {
         "priors": 5, "sources": 5,
         "imitation": 4, "teachers": 4, "queries": 4,
         "agents": 3, "rewards": 3,
-        "buffers": 2, "nets": 2,
+        "buffers": 2, "nets": 2, "robot": 2,
         "envs": 1, "losses": 1,
     },
     "rrmctl": {
         "__main__": 6,
         "cli": 5,
         "export": 4,
-        "reports": 3, "running": 3, "doctor": 3,
+        "reports": 3, "running": 3, "doctor": 3, "labelling": 3,
         "planning": 2,
         "store": 1, "stats": 1,
     },
@@ -89,7 +95,7 @@ RUNS = {
 UNSAFE = {"pickle", "marshal", "shelve", "dill", "cloudpickle", "joblib", "yaml", "runpy", "code", "imp"}
 HEAVY = {
     *("torch", "numpy", "pandas", "pyarrow", "pydantic", "matplotlib", "scipy", "jinja2"),
-    *("mujoco", "metaworld", "dm_control"),
+    *("mujoco", "metaworld", "dm_control", "pybullet", "starlette", "uvicorn"),
 }
 
 
@@ -149,6 +155,7 @@ def test_few_modules_of_the_program_know_the_library() -> None:
     assert knowing == KNOW_RRM
 
 
+@pytest.mark.slow
 def test_python_is_started_in_one_way() -> None:
     """Whoever starts a process gives it the environment of `rrm.environ`: no file that lies around is a module."""
     starting = {name for name in MODULES if "subprocess" in imports(name)} - {"rrmctl.running.supervisor"}
@@ -194,8 +201,9 @@ def test_learning_knows_no_environment(room: str) -> None:
 
 
 def test_environments_know_no_torch() -> None:
-    """A simulator can be used without the learning library."""
-    assert [m for m in MODULES if m.startswith("rrm.envs") and "torch" in {i.split(".")[0] for i in imports(m)}] == []
+    """A simulator, or an arm, can be used without the learning library."""
+    rooms = ("rrm.envs", "rrm.robot")
+    assert [m for m in MODULES if m.startswith(rooms) and "torch" in {i.split(".")[0] for i in imports(m)}] == []
 
 
 @pytest.mark.parametrize(
@@ -222,6 +230,7 @@ def _called(name: str) -> Iterator[tuple[ast.Call, str, str]]:
                 yield node, ast.unparse(value), function
 
 
+@pytest.mark.slow
 def test_nothing_that_is_read_can_run() -> None:
     """No file's content becomes code but in the places that exist for it, and no format that can hold code is read."""
     running = {
@@ -241,6 +250,15 @@ def test_arrays_are_read_without_pickles() -> None:
                 said = {keyword.arg: ast.unparse(keyword.value) for keyword in call.keywords}
                 assert (owner, said.get("allow_pickle")) == ("np", "False"), module
             assert function not in ("read_pickle", "unsafe_load"), module
+
+
+def test_labels_are_served_without_torch() -> None:
+    """Nor with a simulator: the process that draws has them."""
+    code = (
+        "import rrmctl.labelling.serving, sys; print({'torch', 'mujoco', 'metaworld', 'gymnasium'} & set(sys.modules))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout == "set()\n"
 
 
 def test_planning_needs_no_torch(tmp_path: Path) -> None:
@@ -276,7 +294,9 @@ def test_every_teacher_is_complete(name: str) -> None:
 
 
 @pytest.mark.sim
-@pytest.mark.parametrize("name", sorted(TASKS))
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=robot if TASKS[name].extra else ()) for name in sorted(TASKS)]
+)
 def test_every_task_loads(name: str) -> None:
     """Each task's class can be imported, and its features lie inside the observation."""
     task = TASKS[name]
@@ -299,12 +319,13 @@ def test_arrow_starts_no_threads() -> None:
         for name, path in MODULES.items()
         for node in ast.walk(ast.parse(path.read_text()))
         if isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute) and "pyarrow" in path.read_text()
-        and (node.func.attr == "to_pandas" or (node.func.attr == "read" and "file.read()" not in ast.unparse(node)))
+        and (node.func.attr in {"to_pandas", "read_table", "read"} and "file.read()" not in ast.unparse(node))
         and "use_threads" not in {keyword.arg for keyword in node.keywords}
     }  # fmt: skip
     assert calls == set()
 
 
+@pytest.mark.slow
 def test_one_idea_has_one_home() -> None:
     """Near names are found, consoles made, and words compared with that of nothing asked, in one module each."""
     trees = [(module, node) for module, path in MODULES.items() for node in ast.walk(ast.parse(path.read_text()))]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import os
 import re
+import subprocess
 import sys
 import threading
 import tomllib
@@ -16,9 +17,9 @@ from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 from rich.console import Console
 
-from benchmarks import drqv2_update
+from benchmarks import drqv2_update, images
 from benchmarks.__main__ import table
-from benchmarks.lines import Line, one_core
+from benchmarks.lines import Line, one_core, peak_mib
 from benchmarks.sac_update import best_products, peers
 from rrm.config import DrqConfig, SacConfig
 from rrm.hardware import cpu_model
@@ -96,6 +97,24 @@ def test_an_update_from_frames_is_timed(monkeypatch: pytest.MonkeyPatch) -> None
         assert list(line.peers) == ["autograd"]
         assert line.ours > 0
         assert line.floor is not None
+
+
+@pytest.mark.slow
+@pytest.mark.sim
+@pytest.mark.usefixtures("opengl")
+def test_a_run_on_images_is_measured() -> None:
+    """Every figure is there at a scale that says nothing, and its memory is that of a process of its own."""
+    found = {line.item: line for line in images.lines(("smoke",), stored=300, budget=0.001, interval=1.0)}
+    assert [line.unit for line in found.values()] == ["%", "/s", "/s", "%", "%", "MiB", "MiB", "ms"]
+    assert all(line.ours > 0 for line in found.values())
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="Linux tells a process' largest size")
+def test_memory_is_that_of_the_process_itself() -> None:
+    """However much the one that started it holds."""
+    command = [sys.executable, "-c", "from benchmarks.lines import peak_mib; print(peak_mib())"]
+    assert peak_mib() > 150
+    assert float(subprocess.run(command, cwd=ROOT, check=True, stdout=subprocess.PIPE).stdout) < 100
 
 
 def test_a_folder_without_the_authors_code_is_refused(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

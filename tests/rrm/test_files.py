@@ -1,13 +1,15 @@
 """Atomic writes."""
 
+import errno
 import os
 import subprocess
 import sys
 from pathlib import Path
+from threading import Barrier, Thread
 
 import pytest
 
-from rrm.files import UnfitFileError, make_folder, read_bounded, write_atomically
+from rrm.files import UnfitFileError, create, make_folder, read_bounded, write_atomically
 
 
 def test_a_file_is_replaced_as_a_whole(tmp_path):
@@ -89,3 +91,36 @@ def test_a_name_that_is_a_folder_takes_no_write(tmp_path, monkeypatch):
     with pytest.raises(OSError, match=r"'\.'"):
         write_atomically(Path(), b"data")
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("links", [True, False])
+def test_of_many_who_create_a_file_one_does(tmp_path, links, monkeypatch):
+    """It holds what the one wanted; nothing else is left, also where the file system has no links (FAT)."""
+    if not links:
+        monkeypatch.setattr(os, "link", _refused)
+    for number in range(30):
+        path, start, made = tmp_path / str(number), Barrier(4), []
+
+        def attempt(name, path=path, start=start, made=made):
+            start.wait()
+            made.append((name, create(path, name)))
+
+        threads = [Thread(target=attempt, args=(bytes([65 + n]),)) for n in range(4)]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join()
+        (winner,) = [name for name, whether in made if whether]
+        assert path.read_bytes() == winner
+    assert len(list(tmp_path.iterdir())) == 30
+
+
+def _refused(*_):
+    raise PermissionError(errno.EPERM, "Operation not permitted")
+
+
+def test_a_file_that_cannot_be_created_is_named(tmp_path):
+    """And no temporary one in its stead."""
+    with pytest.raises(FileNotFoundError) as caught:
+        create(tmp_path / "no" / "file", b"")
+    assert caught.value.filename == str(tmp_path / "no" / "file")

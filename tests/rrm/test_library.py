@@ -10,7 +10,11 @@ import numpy as np
 import pytest
 
 import rrm
+from rrm.config import CameraConfig, DrqConfig, EvaluationConfig, ExplorationConfig, RewardConfig
+from rrm.envs.observer import Observer
 from rrm.errors import ConfigError, MissingResultError
+from rrm.training.loop import Trainer
+from rrm.types import Transition
 
 PAGE = Path(__file__).parents[2] / "docs" / "library.md"
 
@@ -64,6 +68,39 @@ def test_what_is_trained_here_is_what_rrmctl_trains(shown, tmp_path):
     assert rrm.load(there.path).evaluate(3) == names["run"].evaluate(3)
 
 
+def test_a_reward_on_frames_is_paid_for_frames(tmp_path):
+    """Whoever trains on it sees what the run's agent saw, by actions that last as long, and is paid as it was."""
+    agent = DrqConfig(kind="drqv2", hidden=8, layers=1, batch=4, channels=4, strides=(2, 2), features=4)
+    config = rrm.RunConfig(
+        task="toy-car-image", seed=0, steps=120, horizon=20, action_repeat=2, camera=CameraConfig(size=16), agent=agent,
+        reward=rrm.RewardConfig(prior="proxy", hidden=8, layers=1, epochs=2),
+        feedback=rrm.FeedbackConfig(every=40, batch=4, budget=8, segment=10),
+        exploration=rrm.ExplorationConfig(seed_steps=40, reset_updates=2),
+        evaluation=rrm.EvaluationConfig(every=60, episodes=1),
+    ).canonical()  # fmt: skip
+    rrm.train(config, tmp_path / "run")
+    run, trainer = rrm.load(tmp_path / "run"), Trainer(config)
+    while trainer.step < config.steps:
+        trainer.advance()
+    env = rrm.LearnedReward(rrm.make("toy-car-image", horizon=20), run)
+    theirs = Observer("toy-car-image", 20, config.spaces.frames, 2)
+    seen, _ = env.reset(seed=3)
+    obs = theirs.reset(seed=3)
+    trainer.prior.begin_episode(obs.state)
+    for step in range(10):
+        assert env.observation_space.contains(seen)
+        np.testing.assert_array_equal(seen, obs.frames)
+        act = run.policy(seen)
+        seen, reward, _, over, info = env.step(act)
+        then, true, _, _, told = theirs.step(act)
+        prior = trainer.prior.look(obs, act, told)
+        lived = Transition(obs.state, act, then.state, prior, 0.0, true, False, over, obs.frames, then.frames)
+        assert reward == pytest.approx(trainer.sources["preferences"].reward(lived), abs=1e-5)
+        assert info["true_reward"] == true
+        assert over == (step == 9)
+        obs = then
+
+
 def test_what_is_no_finished_run_is_said(tmp_path):
     """Nothing there, another run's folder, a run under way, one without a learned reward."""
     with pytest.raises(ConfigError, match=r"config\.json is not the configuration of a run"):
@@ -93,3 +130,18 @@ def test_the_front_door_is_light_and_whole():
     code = "import rrm, sys, json; print(json.dumps(sorted({m.split('.')[0] for m in sys.modules})))"
     loaded = json.loads(subprocess.run([sys.executable, "-c", code], capture_output=True, check=True).stdout)
     assert not {"torch", "numpy", "pydantic", "gymnasium"} & set(loaded)
+
+
+@pytest.mark.parametrize("counted", ["any", "last"])
+def test_success_counts_as_in_the_run(tmp_path, monkeypatch, counted):
+    """Its evaluations and those asked for afterwards look at the same step of an episode."""
+    config = rrm.RunConfig(
+        task="toy-car", seed=0, steps=120, horizon=20, agent=rrm.SacConfig(hidden=8, layers=1, batch=4),
+        reward=RewardConfig(learner="true"), exploration=ExplorationConfig(seed_steps=50),
+        evaluation=EvaluationConfig(every=120, episodes=1, success=counted),
+    )  # fmt: skip
+    rrm.train(config, tmp_path)
+    played = []
+    monkeypatch.setattr(rrm.runs, "evaluate", lambda *args, **_: played.append(args[2]))
+    rrm.load(tmp_path).evaluate(3)
+    assert (played[0].episodes, played[0].success) == (3, counted)

@@ -7,7 +7,7 @@ from pydantic import ValidationError
 
 from rrm import precision
 from rrm.hardware import extensions
-from rrm.tuning import FORMS, ROUNDED, SHAPES, Machine, cell
+from rrm.tuning import FORMS, ROUNDED, SEEING, SHAPES, Machine, cell
 from tests.rrm.training.test_run_config import run
 
 
@@ -25,6 +25,25 @@ def test_auto_is_what_pays_on_the_machine(monkeypatch: pytest.MonkeyPatch, round
     assert run(precision="auto").precision == best
     assert run(precision="auto").identity == run(precision=best).identity
     assert run(precision="auto", agent={"batch": 128, "hidden": 128}).precision == "float32"
+
+
+@pytest.mark.parametrize(
+    ("gains", "best"), [({16: 1.1, 32: 2.0}, ["float32", "bfloat16"]), ({16: 2.0, 32: 1.1}, ["bfloat16", "float32"])]
+)
+def test_auto_on_images_goes_by_convolutions(
+    monkeypatch: pytest.MonkeyPatch, gains: dict[int, float], best: list[str]
+) -> None:
+    """Of about as many channels, whatever is measured of layers: those of such an agent are in float32 anyway."""
+    exact, rounded = {str(channels): 1.0 for channels in gains}, {str(key): gain for key, gain in gains.items()}
+    for layers in (2.0, 0.5):
+        seeing = dict(zip(SEEING.values(), (exact, rounded), strict=True))
+        here = Machine({**measured(layers).rates, **seeing})
+        monkeypatch.setattr(precision, "machine", lambda here=here: here)
+        for channels, meant in zip((12, 40), best, strict=True):
+            agent = {"kind": "drqv2", "channels": channels}
+            assert run(task="toy-car-image", agent=agent, action_repeat=2, precision="auto").precision == meant
+    monkeypatch.setattr(precision, "machine", lambda: Machine({**measured(2.0).rates, SEEING["float32"]: exact}))
+    assert run(task="toy-car-image", agent={"kind": "drqv2"}, action_repeat=2, precision="auto").precision == "float32"
 
 
 def test_auto_without_rounded_products(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -26,6 +26,7 @@ def python(code, env):
     return subprocess.run([sys.executable, "-c", code], env=env, capture_output=True, text=True, check=False)
 
 
+@pytest.mark.slow
 @pytest.mark.sim
 @pytest.mark.parametrize(
     "variables",
@@ -66,6 +67,7 @@ def test_it_is_looked_for_once(opengl, monkeypatch):
     assert renderer() is opengl
 
 
+@pytest.mark.slow
 @pytest.mark.sim
 def test_simulating_needs_none(no_opengl):
     """A task with a camera is stepped where nothing draws, and asking for a picture is refused with that line."""

@@ -13,10 +13,24 @@ from pathlib import Path
 import pytest
 
 from rrm import tuning
-from rrm.tuning import EXACT, FORMS, OTHERWISE, ROUNDED, SHAPES, Machine, cell, in_words, kept_in, machine, measure
+from rrm.tuning import (
+    EXACT,
+    FORMS,
+    OTHERWISE,
+    ROUNDED,
+    SEEING,
+    SHAPES,
+    Machine,
+    cell,
+    cells,
+    in_words,
+    kept_in,
+    machine,
+    measure,
+)
 
 CELLS = [cell(form, shape) for form in FORMS for shape in SHAPES]
-RATES = {way: dict.fromkeys(CELLS, 1e9 + at) for at, way in enumerate([*EXACT, ROUNDED])}
+RATES = {way: dict.fromkeys(cells(way), 1e9 + at) for at, way in enumerate([*EXACT, ROUNDED, *SEEING.values()])}
 FOUND = Machine(RATES, {})
 
 

@@ -16,7 +16,7 @@ import pytest
 
 from rrm import tuning
 from rrm.rendering import Renderer
-from rrm.tuning import EXACT, FORMS, ROUNDED, SHAPES, Machine, cell, measure
+from rrm.tuning import EXACT, FORMS, ROUNDED, SEEING, SHAPES, Machine, cell, measure
 from rrmctl import doctor
 from rrmctl.planning.experiments import SHIPPED
 
@@ -31,15 +31,17 @@ def test_required_packages_are_found() -> None:
 
 def test_absent_and_wrong_packages() -> None:
     """A package that is absent or of another version is missing, with the command that installs it."""
-    absent = doctor.package("no-such-package", ">=1", needed=True)
+    absent = doctor.package("no-such-package", ">=1")
     assert (absent.state, absent.found) == ("missing", "not installed")
     assert absent.fix.endswith("-m pip install 'no-such-package>=1'")
-    wrong = doctor.package("numpy", "<1", needed=True)
+    wrong = doctor.package("numpy", "<1")
     assert wrong.state == "missing"
     assert "<1 is needed" in wrong.found
-    assert doctor.package("no-such-package", ">=1", needed=False).state == "note"
+    robot = doctor.package("no-such-package", ">=1", extra="robot")
+    assert (robot.state, robot.fix.split(" install ")[1]) == ("note", "'rrmctl[robot]'")
 
 
+@pytest.mark.slow
 def test_a_clone_that_is_not_installed(monkeypatch: pytest.MonkeyPatch) -> None:
     """Without a record of its own needs, the first thing said is how to install it; the other checks follow."""
     monkeypatch.setattr(doctor, "DISTRIBUTION", "no-such-package")
@@ -48,6 +50,7 @@ def test_a_clone_that_is_not_installed(monkeypatch: pytest.MonkeyPatch) -> None:
     assert "-m pip install --editable" in first.fix
 
 
+@pytest.mark.slow
 @pytest.mark.sim
 def test_rendering(opengl: Renderer) -> None:
     """What draws, and how fast."""
@@ -132,6 +135,7 @@ def measured(**rates: float) -> Machine:
     found = {way.replace("_", "-"): dict.fromkeys(CELLS, 1e9 * rate) for way, rate in rates.items()}
     for name in found.get(ROUNDED, {}):
         found[ROUNDED][name] /= 1 if "512x" in name else 2
+    found |= {SEEING["float32"]: {"16": 50e9, "32": 60e9}, SEEING["bfloat16"]: {"16": 60e9, "32": 90e9}}
     missing = dict.fromkeys([way for way in (*EXACT, ROUNDED) if way not in found], "this torch does not have it")
     return Machine(found, missing)
 
@@ -172,6 +176,8 @@ def test_precisions(arithmetic: Callable[..., dict[str, doctor.Check]]) -> None:
     assert arithmetic(measured(torch=100, bfloat16=180))["precision"].found == (
         'float32 or bfloat16; "auto" is bfloat16 at 512x256x256 (bfloat16 180 GFLOP/s, float32 100 GFLOP/s); '
         '"auto" is float32 at 128x128x128 (bfloat16 90 GFLOP/s, float32 100 GFLOP/s); '
+        '"auto" is bfloat16 on images, 32 channels (bfloat16 90 GFLOP/s, float32 60 GFLOP/s); '
+        '"auto" is float32 on images, 16 channels (bfloat16 60 GFLOP/s, float32 50 GFLOP/s); '
         "vector extensions: avx2, amx_bf16"
     )
     without = arithmetic(measured(torch=100))["precision"].found

@@ -25,6 +25,7 @@ def make(seed: int = 1, **changes: object) -> Drm:
     return Drm(SMALL.model_copy(update=changes), SPACES, Streams(seed))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("target_ratio", [0.0, 1.0])
 def test_several_updates(target_ratio: float) -> None:
     """Losses, gradients and parameters follow the textbook's, with units dropped in the critics and in their target,

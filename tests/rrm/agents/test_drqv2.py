@@ -243,6 +243,7 @@ def train(agent: Drq, seeds: range) -> None:
         agent.act(Obs(np.zeros(5), scenes(1, seed, FRAMES)[0].numpy()), explore=True)
 
 
+@pytest.mark.slow
 def test_resumes_bit_for_bit(tmp_path: Path) -> None:
     """Saved after some updates and loaded into a fresh agent, here and in another process, it continues identically."""
     streams = Streams(7)

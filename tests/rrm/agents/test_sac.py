@@ -51,6 +51,7 @@ def stacked_grads(net: StackedMLP) -> Tensor:
     return flat_weights(unstack(twin))
 
 
+@pytest.mark.slow
 @settings(max_examples=25, deadline=None)
 @given(
     obs=st.integers(1, 45),
@@ -180,6 +181,7 @@ def assert_same(a: State, b: State) -> None:
             assert value == b[key]
 
 
+@pytest.mark.slow
 def test_resumes_bit_for_bit(tmp_path: Path) -> None:
     """Saved after some updates and loaded into a fresh agent, here and in another process, it continues identically."""
     streams = Streams(7)

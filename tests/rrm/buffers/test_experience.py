@@ -110,6 +110,7 @@ def test_small_neighbour_distances_keep_their_digits():
     torch.testing.assert_close(neighbour_distance(experience, states, 3), exact)
 
 
+@pytest.mark.slow
 @given(lengths, st.integers(0, 4), st.integers(1, 4), st.booleans())
 def test_saved_in_pieces_it_comes_back_whole(tmp_path_factory, episode_lengths, unfinished, every, relabel):
     """However often it was saved, and whatever was relabelled between, the restored experience is the same."""

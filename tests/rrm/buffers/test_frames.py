@@ -74,6 +74,7 @@ def test_stacks_of_rows_in_order(episodes, stack, block):
             row += 1
 
 
+@pytest.mark.slow
 @given(lengths, st.integers(1, 3), st.integers(0, 4))
 def test_windows_are_counted_again_when_they_come_back(tmp_path_factory, episodes, window, unfinished):
     folder = tmp_path_factory.mktemp("frames")
@@ -122,6 +123,7 @@ def test_damaged_pictures_are_noticed(tmp_path, harm):
         Frames(FrameSpace(2, 2, 1)).load(path, state)
 
 
+@pytest.mark.slow
 def test_pictures_do_not_stay_in_memory():
     """Twenty thousand pictures of 12 kB, drawn from: the process grows by a small part of what they are."""
     program = """

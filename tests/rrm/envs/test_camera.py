@@ -32,6 +32,7 @@ def envs(name, request):
         env.close()
 
 
+@pytest.mark.slow
 @every_task
 def test_pictures(name, envs):
     """Every view, size and quality the task has; two environments in one state see the same, bit for bit."""
@@ -118,6 +119,7 @@ def test_pictures_are_upright(opengl):
     env.close()
 
 
+@pytest.mark.slow
 @pytest.mark.sim
 def test_quality(opengl):
     """The quality "full" has shadows and smooth edges, and the order in which qualities are asked for plays no part."""

@@ -15,9 +15,11 @@ import rrm.envs
 from rrm.checkpoint import encode
 from rrm.envs import TASKS, make, task
 from rrm.errors import ConfigError, NumericalError, UnknownNameError
+from tests.robot import robot
 from tests.rrm.envs.rollouts import HORIZON, actions, digest, roll
 
-NAMES = [pytest.param(t.name, marks=() if t.suite.startswith("toy") else pytest.mark.sim) for t in TASKS.values()]
+MARKS = {"toy": (), "toy-image": (), "panda": robot}
+NAMES = [pytest.param(t.name, marks=MARKS.get(t.suite, pytest.mark.sim)) for t in TASKS.values()]
 every_task = pytest.mark.parametrize("name", NAMES)
 
 
@@ -164,18 +166,27 @@ def test_before_the_first_episode(name, env, fresh):
     assert env.reset()[0].tolist() == fresh.reset()[0].tolist()
 
 
-@pytest.mark.sim
-def test_resume_in_another_process(tmp_path):
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "suites",
+    [
+        pytest.param({"metaworld", "metaworld-image", "dmc", "toy", "toy-image"}, marks=pytest.mark.sim),
+        pytest.param({"panda"}, marks=robot),
+    ],
+    ids=["mujoco", "panda"],
+)
+def test_resume_in_another_process(suites, tmp_path):
     """A state written to a file and read by another process continues bit for bit, for every task."""
     here = {}
-    for name in TASKS:
+    names = [spec.name for spec in TASKS.values() if spec.suite in suites]
+    for name in names:
         env = make(name, horizon=HORIZON)
         env.reset(seed=7)
         roll(env, actions(name, 19, seed=1))
         (tmp_path / name).write_bytes(encode(env.state_dict()))
         here[name] = digest(roll(env, actions(name, HORIZON + 5, seed=2)))
         env.close()
-    command = [sys.executable, "-m", "tests.rrm.envs.rollouts", str(tmp_path), *TASKS]
+    command = [sys.executable, "-m", "tests.rrm.envs.rollouts", str(tmp_path), *names]
     there = subprocess.run(command, check=True, capture_output=True, text=True, timeout=120).stdout
     assert json.loads(there) == here
 
@@ -210,7 +221,7 @@ def test_planning_imports_nothing_heavy():
         "    check_prior('zero', t)\n"
         "for t in (TASKS[name] for name in language.tasks):\n"
         "    for prior in ('language', f'{FROZEN}/{t.name}.language.py:reward'): check_prior(prior, t)\n"
-        "heavy = {'torch', 'numpy', 'gymnasium', 'metaworld', 'mujoco', 'dm_control', 'cv2', 'scipy'}\n"
+        "heavy = {'torch', 'numpy', 'gymnasium', 'metaworld', 'mujoco', 'dm_control', 'pybullet', 'cv2', 'scipy'}\n"
         "print(sorted(heavy & set(sys.modules)))"
     )
     run = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True, timeout=60)

@@ -132,6 +132,7 @@ def test_collecting_can_be_stopped():
     assert seen == [20, 40]
 
 
+@pytest.mark.slow
 @pytest.mark.sim
 def test_scripted_policies_solve_their_tasks():
     """Meta-World's own, through our environment; their actions are clipped into [-1, 1]."""

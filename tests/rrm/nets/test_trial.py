@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+import time
 from collections.abc import Callable
 from functools import partial
 
@@ -13,7 +14,7 @@ from torch import Tensor
 from rrm import tuning
 from rrm.nets import trial
 from rrm.nets.ways import MklKernel, Work
-from rrm.tuning import EXACT, FORMS, SHAPES, cell, measure
+from rrm.tuning import EXACT, FORMS, SEEING, SHAPES, cell, cells, measure
 
 
 def rounded(a: Tensor, b: Tensor, out: Tensor) -> Work:
@@ -51,6 +52,22 @@ def test_an_exact_way_has_a_rate_for_every_product(monkeypatch: pytest.MonkeyPat
     assert refused == ""
     assert list(rates) == [cell(form, shape) for shape in SHAPES[:2] for form in FORMS]
     assert all(1e6 < rate < 1e14 for rate in rates.values())
+
+
+def test_others_who_want_the_processor_are_not_measured(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A way that waits is not slow."""
+    monkeypatch.setattr(trial, "_TURN_S", 0.0)
+    assert trial._seconds(lambda: time.sleep(0.05)) < 0.02
+
+
+def test_convolutions_are_measured_in_either_precision(monkeypatch: pytest.MonkeyPatch) -> None:
+    """In operations a second, where the processor has it."""
+    for precision, way in SEEING.items():
+        rates, refused = trial.attempt(way)
+        assert (rates.keys() == cells(way) and not refused) or (precision == "bfloat16" and refused)
+        assert all(1e6 < rate < 1e14 for rate in rates.values())
+    monkeypatch.setattr(trial, "multiplies", lambda precision: precision == "float32")
+    assert trial.attempt(SEEING["bfloat16"]) == ({}, "this processor or this torch does not have it")
 
 
 def test_what_is_not_there_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -91,7 +108,7 @@ def test_a_way_that_ends_its_process_is_refused(monkeypatch: pytest.MonkeyPatch,
     found = measure()
     assert found.refused["onednn"] == f"trying it ended {ended}"
     assert {"torch", "numpy"} <= set(found.rates)
-    assert set(found.rates) | set(found.refused) == {*EXACT, tuning.ROUNDED}
+    assert set(found.rates) | set(found.refused) == {*EXACT, tuning.ROUNDED, *tuning.SEEING.values()}
 
 
 @pytest.mark.slow

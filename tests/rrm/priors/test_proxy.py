@@ -31,7 +31,7 @@ ARM = {"hand": (0, 0, 1), "object": (3, 4, 1), "goal": (9, 4, 9)}
 
 @pytest.mark.parametrize(
     ("prior", "expected"),
-    [("proxy", -15), ("o2g", -10), ("h2o", -5), ("opposite", 15), ("zero", 0), ("sparse", 0)],
+    [("proxy", -15), ("o2g", -10), ("h2o", -5), ("1d", -4), ("opposite", 15), ("zero", 0), ("sparse", 0)],
 )
 def test_arm(prior, expected):
     """Distances of hand, object and goal, in the paper's combinations."""
@@ -129,7 +129,8 @@ def test_hidden_features(name, feature, revealed):
 #: By suite the priors that ask for more than its tasks reveal.
 UNSUITED = {
     "metaworld": {"penalty"},
-    "dmc": {"o2g", "h2o", "sparse", "penalty"},
+    "dmc": {"o2g", "h2o", "1d", "sparse", "penalty"},
+    "panda": {"penalty", "language"},
     "toy": {"penalty"},
     "metaworld-image": {"proxy", "opposite", "o2g", "h2o"},
     "toy-image": {"penalty", "language"},

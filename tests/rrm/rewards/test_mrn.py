@@ -80,6 +80,7 @@ class InDouble:
         return segments.prior + torch.tanh(outputs).view(-1, *segments.prior.shape)
 
 
+@pytest.mark.slow
 def test_the_gradient_is_that_of_finite_differences():
     """In float64 the gradient in the reward's weights, through the critic's step, is what nudging each weight says."""
     learner, agent, answers = mrn(), sac(), Answers(tie_every=3)

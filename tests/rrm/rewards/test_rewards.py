@@ -99,6 +99,7 @@ def test_the_penalty_is_the_mean_square_of_the_residual():
     assert reward(EnsembleReward, GAUSSIAN).penalty(values, segments).item() == 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("learner_class", [Pebble, Surf, Mrn])
 def test_every_learner_pays_the_penalty(learner_class):
     """The dearer a residual, the smaller it stays, whoever trains it."""

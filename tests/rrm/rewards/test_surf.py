@@ -153,6 +153,7 @@ def test_every_round_goes_through_all_pairs():
         assert not torch.equal(orders[0], orders[1])
 
 
+@pytest.mark.slow
 def test_it_learns_the_ranking():
     """With enough labels it tells them as PEBBLE does."""
     surf = learner()
@@ -180,6 +181,7 @@ def knows_the_second_feature(trained):
     return float(((logit[1] > logit[0]) == (truth[1] > truth[0])).float().mean())
 
 
+@pytest.mark.slow
 def test_pseudo_labels_teach_what_no_label_says():
     """What only pairs without a label show is learned from them, and is not without their loss or without certainty."""
     answers = Correlated(100, 600)
@@ -206,6 +208,7 @@ def test_without_crops_and_pseudo_labels_it_is_pebble():
         torch.testing.assert_close(a, b, atol=2e-5, rtol=0)
 
 
+@pytest.mark.slow
 def test_a_restored_learner_says_what_it_said():
     """Weights, moments and figures are the state; the next session is the same."""
     answers, one, two = Answers(30, 60), learner(), learner(seed=5)

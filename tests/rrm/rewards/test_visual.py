@@ -1,5 +1,9 @@
 """Rewards on what a camera shows: an encoder of the agent's that stands still, and an ensemble on its features."""
 
+import subprocess
+import sys
+from pathlib import Path
+
 import numpy as np
 import pytest
 import torch
@@ -120,6 +124,41 @@ def test_sight_without_room_to_remember(monkeypatch):
     looked = Sight(experience, mine)(rows)
     assert looked.shape == (2, 2, 2, R)
     torch.testing.assert_close(looked, remembered, rtol=1e-3, atol=1e-3)
+
+
+#: Prints MB of features of 4,000 rows in half precision, and by how much the process' largest size has grown for them.
+LOOKING = """
+import re
+from pathlib import Path
+import torch
+from rrm.nets.encoder import Encoder
+from rrm.rewards.sight import Sight
+from tests.rrm.rewards.test_visual import AGENT, SPACE, filmed
+
+def peak():
+    return int(re.search(r"VmHWM:\\s*(\\d+)", Path("/proc/self/status").read_text())[1]) / 1e3
+
+large = AGENT.model_copy(update={"channels": 64, "strides": (1,)})
+experience, encoder = filmed(4000, horizon=100), Encoder(large, SPACE, torch.Generator().manual_seed(0))
+sight, rows = Sight(experience, encoder), torch.arange(3)
+encoder.encode(experience.stacks(0, 256))
+before = peak()
+sight(rows)
+sight.renew(encoder)
+sight(rows)
+print(experience.rows * encoder.outputs * 2 / 1e6, peak() - before)
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(sys.platform != "linux", reason="Linux tells a process' largest size")
+def test_looking_takes_the_memory_of_what_is_remembered():
+    """And little more, however much is looked at in one go, and once again with another encoder."""
+    command = [sys.executable, "-c", LOOKING]
+    done = subprocess.run(command, cwd=Path(__file__).parents[3], check=True, capture_output=True, text=True)
+    features, grown = map(float, done.stdout.split())
+    assert features > 100
+    assert grown < 1.5 * features
 
 
 def test_sight_sees_the_same_bits_after_an_interruption():

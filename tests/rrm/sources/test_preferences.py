@@ -67,6 +67,7 @@ def test_nothing_of_a_step_happens_while_answers_are_missing(tiny):  # noqa: F81
     assert repr(rows[0]) == repr(rows[1])
 
 
+@pytest.mark.slow
 def test_a_run_that_waits_is_checkpointed_and_goes_on(tiny, tmp_path):  # noqa: F811
     """Each attempt leaves a checkpoint and asks anew what is open alone; the curve is that of the quick teacher."""
     straight, pieces = Recorder(), Recorder()

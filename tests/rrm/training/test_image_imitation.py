@@ -15,6 +15,7 @@ from rrm.config import (
     FeedbackConfig,
     ImitationConfig,
     RewardConfig,
+    SurfConfig,
 )
 from rrm.envs.observer import Observer
 from rrm.errors import ConfigError, DemosError, MissingResultError, PriorError
@@ -63,6 +64,9 @@ def chain(tmp_path_factory):
     on_it = {"encoder": "imitation", "encoder_run": airl.identity}
     configs["rrm-imitation"] = config("pebble", {"prior": "imitation", "prior_run": airl.identity}, on_it)
     configs["pebble"] = config("pebble", agent=on_it)
+    configs["rrm-surf"] = config(
+        "surf", {"prior": "proxy", "surf": SurfConfig(threshold=0.5, margin=1, crop=1, unlabelled=4)}
+    )
     return folders, configs
 
 
@@ -71,7 +75,7 @@ def kept(chain):
     return decode((folders[configs["airl"].identity] / "model.safetensors").read_bytes())["imitation"]
 
 
-@pytest.mark.parametrize("name", ["airl", "rrm-imitation", "pebble"])
+@pytest.mark.parametrize("name", ["airl", "rrm-imitation", "pebble", "rrm-surf"])
 def test_a_run_in_pieces_is_the_run(chain, tmp_path, networks, name):
     """Stopped every 13 actions and resumed: rows and networks are equal bit for bit."""
     folders, configs = chain

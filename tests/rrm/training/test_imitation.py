@@ -85,6 +85,7 @@ METHODS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("patience", [1, 73])
 def test_a_run_in_pieces_is_the_run(imitating, results, recorder, networks, tmp_path, method, patience):
@@ -258,7 +259,7 @@ def test_demonstrations_without_their_expert(results, recorder, tmp_path):
     """What is missing is named."""
     config = results["demos"]
     shutil.rmtree(results[config.expert.identity])
-    with pytest.raises(MissingResultError, match="the expert's networks, is missing"):
+    with pytest.raises(MissingResultError, match="the policy's networks, is missing"):
         collect(config, tmp_path, recorder(), results)
 
 

@@ -44,6 +44,7 @@ def interrupted(config, folder, recorder, patience, **options):
             return together, pieces
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", METHODS, ids=str)
 @pytest.mark.parametrize("patience", [1, 97])
 def test_a_run_in_pieces_is_the_run(tiny, recorder, networks, tmp_path, method, patience):
@@ -74,6 +75,7 @@ def test_what_agent_and_learner_say_of_themselves_is_in_the_row(tiny, recorder, 
         assert all(map(math.isfinite, monitor.rows[700].figures.values()))
 
 
+@pytest.mark.slow
 def test_checkpoints_at_other_times_change_nothing(tiny, recorder, networks, tmp_path):
     """Saving after every step gives the numbers of saving at evaluations alone."""
     one, other = recorder(), recorder()
@@ -115,6 +117,7 @@ def test_damaged_checkpoints_cost_steps_not_the_run(tiny, recorder, networks, tm
     assert networks(tmp_path / "a") == networks(tmp_path / "b")
 
 
+@pytest.mark.slow
 def test_killed_with_sigkill_it_goes_on(tiny, recorder, networks, tmp_path):
     """A process killed outright, again and again, leaves what a fresh one continues to the same end."""
     config = tiny(prior="proxy")

@@ -1,6 +1,7 @@
 """A run's configuration and its identity."""
 
 import re
+from dataclasses import fields as fields_of
 
 import pytest
 from hypothesis import given
@@ -11,6 +12,7 @@ from rrm.config import (
     CameraConfig,
     DrmConfig,
     DrqConfig,
+    EnvConfig,
     EvaluationConfig,
     ExplorationConfig,
     FeedbackConfig,
@@ -21,6 +23,7 @@ from rrm.config import (
     SurfConfig,
     TeacherConfig,
 )
+from rrm.envs.panda.physics import Physics
 from rrm.errors import RrmError
 from rrm.training.run_config import RunConfig
 
@@ -42,13 +45,14 @@ def test_the_defaults_are_the_papers():
 OTHER = {int: lambda v: v + 1, float: lambda v: v * 0.5 if v else 0.25, str: None, bool: None}
 #: Values that are not reached by arithmetic, or that need a partner to mean anything.
 SPECIAL = {
-    "agent": {"kind": None, "critic_norm": "layer"}, "evaluation": {"success": "last"}, "teacher": {"beta": 1.0},
+    "agent": {"kind": None, "critic_norm": "layer"}, "evaluation": {"success": "last"},
+    "teacher": {"beta": 1.0, "kind": "human", "study": None, "labels": None},
     "reward": {"learner": "true", "prior": "proxy", "normaliser": None, "surf": None, "mrn": None,
                "bound": None, "penalty": None, "inputs": "standard", "prior_run": None, "squash": None,
                "most_steps": 50, "factor": None},
     "feedback": {"sampler": "uniform", "schedule": "decay"}, "exploration": {"neighbours": None},
 }  # fmt: skip
-NOT_NUMBERS = {"options", "prior_digest", "learner_digest", "deterministic"}
+NOT_NUMBERS = {"options", "prior_digest", "learner_digest", "labels_digest", "deterministic"}
 
 
 def every_change():
@@ -74,6 +78,46 @@ def test_anything_that_can_change_numbers_changes_the_identity():
     assert len(changed) > 40
     identities = {name: config.identity for name, config in changed.items()} | {"base": run().identity}
     assert len(set(identities.values())) == len(identities), identities
+
+
+ENV = {"cube_size": 0.06, "cube_mass": [0.1, 0.3], "friction": 1, "latency": [0, 2], "noise": 0.001}
+
+
+def on_the_arm(**env):
+    return RunConfig.model_validate({"task": "panda-push", "seed": 0, "steps": 100_000, "env": env})
+
+
+def test_domain_randomisation():
+    """Whatever varies makes another run; what is as the task has it anyway does not, nor one number for a range."""
+    changed = [on_the_arm(), *(on_the_arm(**{name: value}) for name, value in ENV.items()), on_the_arm(**ENV)]
+    assert len({config.identity for config in changed}) == len(ENV) + 2
+    usual = RunConfig(task="panda-push", seed=0, steps=100_000)
+    assert on_the_arm(cube_mass=0.1, latency=0).identity == usual.identity
+    assert on_the_arm(cube_mass=[0.1, 0.2]).env.ranges() == {"cube_mass": (0.1, 0.2)}
+    assert on_the_arm(friction=1).identity == on_the_arm(friction=[1.0, 1.0]).identity
+    assert RunConfig.model_validate(changed[-1].model_dump(mode="json")) == changed[-1]
+
+
+def test_every_quantity_that_may_vary_is_the_simulation_s():
+    """Settings and physics have one name for each."""
+    assert set(EnvConfig.model_fields) == set(ENV) <= {field.name for field in fields_of(Physics)}
+
+
+@pytest.mark.parametrize(
+    ("env", "reason"),
+    [
+        ({"cube_mass": -1}, "greater than or equal to 0.01"),
+        ({"cube_mass": [0.2, 0.1]}, "from its lower to its upper end"),
+        ({"cube_mass": [0.1, 0.2, 0.3]}, r"One number, or a range \[lowest, highest\]"),
+        ({"friction": "smooth"}, r"One number, or a range \[lowest, highest\]"),
+        ({"latency": 0.5}, "valid integer"),
+        ({"noise": float("nan")}, "finite number"),
+    ],
+)
+def test_ranges_that_are_none(env, reason):
+    """The message says what a range is."""
+    with pytest.raises(ValidationError, match=reason):
+        on_the_arm(**env)
 
 
 def on_images(**fields):
@@ -251,6 +295,10 @@ def test_methods_are_named_as_in_the_tables(fields, method):
         ({"reward": RewardConfig(prior="proxi")}, 'unknown prior "proxi"; did you mean "proxy"'),
         ({"reward": RewardConfig(learner="prior")}, "needs one named"),
         ({"task": "walker-walk", "reward": RewardConfig(prior="h2o")}, "does not reveal"),
+        (
+            {"env": EnvConfig(friction=(0.5, 0.6))},
+            r"env\.friction: button-press .* these have: panda-reach, panda-push",
+        ),
         ({"feedback": FeedbackConfig(segment=501)}, "do not fit into an episode of 500"),
         ({"steps": 1000}, "the run ends at 1000, before the first feedback at 1000"),
         ({"horizon": 501}, "longer than button-press's episode of 500"),

@@ -94,6 +94,7 @@ QUOTED = shlex.quote(RESULTS)
 RUN = f"rrmctl run toy-car --profile smoke --methods oracle --seeds 2 --results {QUOTED}"
 
 
+@pytest.mark.slow
 def test_after_all_is_done(folder: Path) -> None:
     """The table and the figure, of this results folder."""
     finished(folder / RESULTS)
@@ -105,6 +106,7 @@ def test_after_all_is_done(folder: Path) -> None:
     ]
 
 
+@pytest.mark.slow
 def test_where_something_failed(folder: Path) -> None:
     """The reasons; the log of one; and what tries again, which is not run here."""
     _, ids = finished(folder / RESULTS)
@@ -118,6 +120,7 @@ def test_where_something_failed(folder: Path) -> None:
     assert follow(shown.split("again, from nothing")[1])[0].endswith("--force")
 
 
+@pytest.mark.slow
 def test_of_a_folder_without_runs(folder: Path) -> None:
     """What begins a sweep is a whole command."""
     for command in ("status", "resume", "report iqm"):
@@ -127,6 +130,7 @@ def test_of_a_folder_without_runs(folder: Path) -> None:
         follow(typed(f"rrmctl {command} --results {QUOTED}")[1])
 
 
+@pytest.mark.slow
 def test_damage_and_its_way_out(folder: Path) -> None:
     """A curve, a status and a sweep that are no use any more."""
     layout, ids = finished(folder / RESULTS)

@@ -160,6 +160,7 @@ def test_shell_completion(typed: str, offered: str) -> None:
     assert offered in done.stdout.split()
 
 
+@pytest.mark.slow
 def test_files_that_lie_around_are_no_modules(tmp_path: Path) -> None:
     """A folder may hold files named like libraries: no process of the program takes them for these."""
     for name in ("numpy", "json"):

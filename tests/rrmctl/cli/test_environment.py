@@ -76,6 +76,7 @@ def test_the_doctor_tries_the_modules_that_are_installed(litter: Path, monkeypat
     assert not (litter / "ran").exists()
 
 
+@pytest.mark.slow
 def test_a_table_is_the_same_in_any_environment(litter: Path):
     """Neither width nor what Python is told changes a letter of it; JSON stays JSON, in few signs as well."""
     Sweep().write(litter / "results")
@@ -103,6 +104,7 @@ def test_a_table_that_nobody_looks_at_is_wide(litter: Path):
     assert all(name in told for name in curves)
 
 
+@pytest.mark.slow
 def test_a_figure_is_the_same_in_any_environment(litter: Path):
     """`rrmctl plot` from a notebook, or beside a matplotlibrc, draws what it draws elsewhere."""
     results = litter / "results"

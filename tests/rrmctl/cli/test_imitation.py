@@ -124,7 +124,7 @@ def test_an_expert_whose_networks_were_changed_is_made_again(tmp_path: Path) -> 
     result = call("run", *sweep)
     assert result.exit_code == 1, result.output
     said = " ".join(result.stderr.split())
-    assert f"{model}, the expert's networks, is damaged (not a saved state: its content does not match" in said
+    assert f"{model}, the policy's networks, is damaged (not a saved state: its content does not match" in said
     assert f"bring it back, or remove {model.parent} and run the experiment again with --retry-failed" in said
     shutil.rmtree(model.parent)
     result = call("run", *sweep, "--retry-failed")

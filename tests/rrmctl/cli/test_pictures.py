@@ -70,6 +70,7 @@ def assert_refused(done: subprocess.CompletedProcess[str]) -> None:
     assert "Traceback" not in done.stderr
 
 
+@pytest.mark.slow
 def test_refused_before_it_begins(tmp_path: Path, no_opengl: dict[str, str]) -> None:
     """`run` and `resume` say what is missing and what to install, and leave nothing behind."""
     manifest(tmp_path, "button-press-image")
@@ -80,6 +81,7 @@ def test_refused_before_it_begins(tmp_path: Path, no_opengl: dict[str, str]) -> 
     assert [path.name for path in run.path.iterdir()] == ["config.json"]
 
 
+@pytest.mark.slow
 @pytest.mark.sim
 def test_a_worker_by_itself_refuses(tmp_path: Path, no_opengl: dict[str, str]) -> None:
     """On another machine than the one it was planned on, say: a line in the log, no traceback."""

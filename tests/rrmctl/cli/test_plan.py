@@ -146,6 +146,7 @@ def test_doctor_says_what_is_missing(monkeypatch: pytest.MonkeyPatch, state: str
     assert json.loads(call("doctor", "--json").stdout)[0]["state"] == state
 
 
+@pytest.mark.slow
 @pytest.mark.sim
 def test_doctor_on_this_machine(tmp_path: Path) -> None:
     """A machine that runs the tests is ready."""

@@ -128,6 +128,7 @@ def test_a_good_candidate_among_hostile_ones(tmp_path: Path) -> None:
         assert re.search(rf"{name}\.py.*{said}", result.stdout)
 
 
+@pytest.mark.slow
 def test_what_is_no_file_of_code(tmp_path: Path) -> None:
     """A pipe, a device and a huge file: none is read without end, be it a candidate, the prompt or a frozen prior."""
     os.mkfifo(tmp_path / "pipe.language.py")

@@ -32,6 +32,7 @@ def confined(*arguments: str | Path, kind: int = resource.RLIMIT_AS, limit: int 
     return done.returncode, done.stdout, done.stderr
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("kind", "limit"), [(resource.RLIMIT_AS, LITTLE), (resource.RLIMIT_NOFILE, 16)])
 def test_a_sweep_ends_where_there_is_little_room(tmp_path: Path, kind: int, limit: int) -> None:
     """The curves are summed up, and the exit code is that of the runs."""

@@ -304,6 +304,7 @@ def test_a_done_run_without_its_curve_is_not_all_done(tmp_path: Path, command: s
     assert "--force" in result.stdout
 
 
+@pytest.mark.slow
 def test_a_damaged_sweep_stops_only_its_own_experiment(tmp_path: Path) -> None:
     """The others go on with one line that names it; asked for by name it is refused."""
     layout, ids = finished(tmp_path)

@@ -102,6 +102,7 @@ def test_the_exit_code_is_that_of_the_work(folder: Path, streams: str, command: 
     assert not told.exists() or b"Traceback" not in told.read_bytes()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("command", whole(READING))
 def test_an_answer_that_cannot_be_written_is_an_error(folder: Path, command: list[str]) -> None:
     """On a full disk a table is lost: one message, and exit code 2."""
@@ -109,12 +110,14 @@ def test_an_answer_that_cannot_be_written_is_an_error(folder: Path, command: lis
     assert (folder / "out.txt").read_text().startswith("error: standard output: No space left on device\nhint: ")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("command", whole(WORKING))
 def test_work_is_done_where_nothing_can_be_written_about_it(folder: Path, command: list[str]) -> None:
     """Its files are what was asked for."""
     assert outcome(folder, command, ">/dev/full 2>&1") == 0
 
 
+@pytest.mark.slow
 def test_signs_that_an_encoding_lacks_are_spelled(folder: Path) -> None:
     """A table stays one, with a dash for a dash."""
     assert outcome(folder, ["report", "iqm"], ">out.txt", PYTHONIOENCODING="ascii") == 0
@@ -140,6 +143,7 @@ def test_a_sweep_without_any_stream_is_trained(tmp_path: Path) -> None:
     assert planned(tmp_path, "toy-car")["state"].tolist() == ["done"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("command", whole([*READING, *WORKING, *WRONG]))
 def test_a_terminal_of_few_columns(folder: Path, command: list[str]) -> None:
     """Everything is folded, nothing is said of the program's insides."""

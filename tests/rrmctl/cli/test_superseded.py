@@ -96,6 +96,7 @@ def edit_the_manifest(workshop: Workshop) -> None:
     workshop.write(more="\n[defaults.agent]\ntau = 0.3\n")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("change", [edit_the_prior, edit_the_manifest])
 def test_what_was_made_of_other_files_is_left_out_and_said_so(
     workshop: Workshop, change: Callable[[Workshop], None]
@@ -124,6 +125,7 @@ def test_what_was_made_of_other_files_is_left_out_and_said_so(
     assert "superseded" in workshop.call("show", old.pop()).stdout
 
 
+@pytest.mark.slow
 def test_what_is_asked_for_again_takes_its_place_again(workshop: Workshop) -> None:
     """The old file brought back names the old runs, which are done."""
     workshop.run("2")
@@ -136,6 +138,7 @@ def test_what_is_asked_for_again_takes_its_place_again(workshop: Workshop) -> No
     assert list(planned(workshop.results)["run"]) == first
 
 
+@pytest.mark.slow
 def test_seeds_of_an_earlier_state_alone_are_told_what_to_do(workshop: Workshop) -> None:
     """Where fewer seeds were asked for anew the rest do not meet them, and asking for all of them helps."""
     workshop.run("3")
@@ -148,6 +151,7 @@ def test_seeds_of_an_earlier_state_alone_are_told_what_to_do(workshop: Workshop)
     assert workshop.call("report", "iqm", "mine", "--replicates", "100").exit_code == 0
 
 
+@pytest.mark.slow
 def test_a_changed_override_is_a_variant_of_its_own(workshop: Workshop) -> None:
     """Nothing gives way: both have tables."""
     workshop.run("2")
@@ -157,6 +161,7 @@ def test_a_changed_override_is_a_variant_of_its_own(workshop: Workshop) -> None:
     assert "Every run is asked for" in workshop.call("clean").stdout
 
 
+@pytest.mark.slow
 def test_changed_demonstrations_and_what_they_were_needed_for_give_way(workshop: Workshop) -> None:
     """The runs on them and the prior in between: neither is reported, gone on with or kept by `clean`."""
     workshop.write(methods='"rrm-p", "rrm-imitation"', more='\n[defaults.imitation]\ndemos = "demos.safetensors"\n')
@@ -173,6 +178,7 @@ def test_changed_demonstrations_and_what_they_were_needed_for_give_way(workshop:
     assert set(workshop.layout.run_ids()) == plans[1]
 
 
+@pytest.mark.slow
 def test_runs_that_gave_way_are_not_gone_on_with(workshop: Workshop) -> None:
     """A file that changed half way: `resume` is about the new runs alone."""
     workshop.run("2", state=RunState.FAILED)
@@ -182,6 +188,7 @@ def test_runs_that_gave_way_are_not_gone_on_with(workshop: Workshop) -> None:
     assert (done.exit_code, "0 of 2 runs to go" in done.stderr) == (0, True), done.output
 
 
+@pytest.mark.slow
 def test_clean_lists_and_then_removes(workshop: Workshop) -> None:
     """Without --yes nothing is touched; with it all goes that no record names, but for a run that somebody owns."""
     workshop.run("2")
@@ -208,6 +215,7 @@ def test_clean_lists_and_then_removes(workshop: Workshop) -> None:
     assert "Every run is asked for" in workshop.call("clean").stdout
 
 
+@pytest.mark.slow
 def test_clean_trusts_no_damaged_record(workshop: Workshop) -> None:
     """It may name any run: nothing is removed."""
     workshop.run("2")

@@ -49,6 +49,7 @@ def test_a_results_folder_of_another_version(
     assert held(tmp_path) == before
 
 
+@pytest.mark.slow
 def test_a_damaged_record_is_set_aside_and_written_again(tmp_path: Path) -> None:
     """By the command that asks for the sweep, which says so; the bytes are kept."""
     path = Layout(tmp_path).sweep("toy-car", "smoke")

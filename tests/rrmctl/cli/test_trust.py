@@ -79,6 +79,7 @@ def test_a_home_that_takes_no_write_asks_again(tmp_path: Path, monkeypatch: pyte
     remember(["0" * 64])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "command",
     [

@@ -66,6 +66,7 @@ def seeds_of(root: Path, experiment: str = "toy-car") -> dict[str, int]:
     return planned(root, experiment).groupby("method")["seed"].nunique().to_dict()
 
 
+@pytest.mark.slow
 def test_what_is_decided_runs_no_further_seeds(tmp_path: Path) -> None:
     """The oracle is apart after ten seeds and is let go; two methods that are alike go on to the last look."""
     train(tmp_path, seeds=20)
@@ -78,6 +79,7 @@ def test_what_is_decided_runs_no_further_seeds(tmp_path: Path) -> None:
     assert "rrm-sparse against pebble: open" in result.stdout.split("Look 2 of 4")[1].split("Look 3")[0]
 
 
+@pytest.mark.slow
 def test_another_variants_runs_are_no_matter(tmp_path: Path) -> None:
     """Runs of another profile that do not belong together stop nothing; those of the test's own are refused."""
     train(tmp_path)
@@ -103,6 +105,7 @@ def test_it_stops_when_everything_is_decided(tmp_path: Path) -> None:
     assert seeds_of(tmp_path) == {"oracle": 5, "pebble": 5, "rrm-sparse": 5}
 
 
+@pytest.mark.slow
 def test_called_again_it_says_the_same_and_keeps_its_rules(tmp_path: Path) -> None:
     """Word for word; the report has the same decisions by the same rules; other rules are refused, both named."""
     train(tmp_path)
@@ -119,6 +122,7 @@ def test_called_again_it_says_the_same_and_keeps_its_rules(tmp_path: Path) -> No
         assert "a test with other rules was begun here: groups of 5 seeds, at most 10" in result.stderr
 
 
+@pytest.mark.slow
 def test_a_failed_run_decides_nothing(tmp_path: Path) -> None:
     """The look waits for the run; the exit code is that of a failure."""
     train(tmp_path, failed=("pebble", 6))
@@ -129,6 +133,7 @@ def test_a_failed_run_decides_nothing(tmp_path: Path) -> None:
     assert "Nothing more is decided before these runs are done" in result.stdout
 
 
+@pytest.mark.slow
 def test_every_panel_is_decided(tmp_path: Path) -> None:
     """Two teachers are two comparisons that share one level, and the oracle's runs are of both."""
     manifest = tmp_path / "teachers.toml"
@@ -143,6 +148,7 @@ def test_every_panel_is_decided(tmp_path: Path) -> None:
     assert seeds_of(tmp_path / "r", "teachers") == {"oracle": 5, "pebble": 5}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("options", "message"),
     [

@@ -153,6 +153,7 @@ def wandb_records(path):
             yield record
 
 
+@pytest.mark.slow
 def test_wandb_reads_its_runs(results, tmp_path):
     """Each run is an offline run with its identity, configuration, rows, times and exit code."""
     ran = export(results, "wandb", tmp_path / "out")
@@ -173,6 +174,7 @@ def test_wandb_reads_its_runs(results, tmp_path):
         assert records["exit"][0].exit.exit_code == int(run.plan["state"] == "failed")
 
 
+@pytest.mark.slow
 def test_wandb_asks_nobody(results, tmp_path):
     """No connection is tried, no prompt waits, and nothing is left outside of the folder or in the environment."""
     home = tmp_path / "home"
@@ -198,6 +200,7 @@ def test_wandb_asks_nobody(results, tmp_path):
     assert [path.name for path in (tmp_path / "out").iterdir()] == ["wandb"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("form", sorted(formats()))
 def test_exporting_twice_does_not_double(results, tmp_path, form):
     """A second export leaves every byte as it was."""
@@ -207,6 +210,7 @@ def test_exporting_twice_does_not_double(results, tmp_path, form):
     assert content(tmp_path / "out") == first
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("form", sorted(formats()))
 def test_what_has_grown_takes_the_place_of_what_was(tmp_path, form):
     """A run that has gone on since the last export is there once, as it is now."""
@@ -269,6 +273,7 @@ def test_nothing_to_export_is_said(tmp_path):
     assert (tmp_path / "out" / "evaluations.csv").read_text().startswith("experiment,variant")
 
 
+@pytest.mark.slow
 def test_a_place_that_takes_no_write_is_named(results, tmp_path):
     """An impossible folder is one message with exit code 2, in every format."""
     blocker = tmp_path / "file"

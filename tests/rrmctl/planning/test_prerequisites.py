@@ -178,6 +178,21 @@ def test_the_chain_of_an_image_task() -> None:
     assert {job.method for job in main.jobs if job.requires} == {"rrm-imitation"}
 
 
+def test_the_chain_of_an_arm() -> None:
+    """Expert and prior play where the run plays: what varies there varies here, and makes other runs of them."""
+    chosen = {"profile": "smoke", "methods": ["rrm-imitation"], "seeds": 1}
+    grid = {"tasks": ["panda-push"], "methods": ["oracle", "rrm-imitation"]}
+    arm = parse({"title": "t", "reproduces": ["r"], "rule": "r", "grid": grid}, Path("arm.toml"))
+    usual = make_plan(arm, **chosen)  # type: ignore[arg-type]
+    plan = make_plan(arm, **chosen, overrides=["env.friction=[0.3, 0.9]"])  # type: ignore[arg-type]
+    expert, demos, airl = (plan.configs[job.id] for job in plan.needed)
+    assert isinstance(demos, DemosConfig)
+    for config in (expert, demos.expert, airl):
+        assert isinstance(config, RunConfig)
+        assert config.env.ranges() == {"friction": (0.3, 0.9)}
+    assert not {job.id for job in plan.needed} & {job.id for job in usual.needed}
+
+
 def test_an_encoder_of_another_shape_is_refused_before_anything_is_trained() -> None:
     """Unless the run's agent begins with a fresh one."""
     chosen = {"profile": "smoke", "tasks": ["button-press-image"], "methods": ["rrm-imitation"], "seeds": 1}

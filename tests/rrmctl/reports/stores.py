@@ -5,6 +5,7 @@ import json
 import numpy as np
 import pandas as pd
 
+from rrmctl.reports import published
 from rrmctl.reports.select import sections
 from rrmctl.store.schema import MEASURED
 from rrmctl.store.snapshot import PLANNED
@@ -47,6 +48,32 @@ def frames(experiment, series, *, steps, profile="paper", variant=None, override
     return pd.DataFrame(rows), pd.DataFrame(jobs, columns=NAMES)
 
 
-def section(experiment, series, **settings):
-    (found,) = sections(*frames(experiment, series, **settings))
+def section(experiment, series, deployments=None, **settings):
+    """Args: deployments: rows and jobs, as `frames` makes them."""
+    (found,) = sections(*frames(experiment, series, **settings), deployments=deployments)
     return found
+
+
+def at_the_rig(success, lost=0):
+    return {"success": success, "deployed_lost": np.full(success.shape, lost), "deployed_breakdowns": 0 * success}
+
+
+def deployed(profile="paper", length=10, played=(1, 2, 3), lost=0):
+    """Evaluations in training, each tenth of it, and deployments of three checkpoints that are a tenth worse."""
+    series, steps, after, checkpoints = {}, {}, {}, {}
+    for task, method in (("panda-reach", "rrm-1d"), ("panda-push", "rrm-h2o"), ("panda-pick-and-reach", "rrm-h2o")):
+        for rank, name in enumerate(("pebble", method)):
+            label, rig = ((task, called, "oracle", FULL) for called in (name, f"{name} deployed"))
+            series[label] = curve(*np.linspace(0.1, 0.6 + 0.4 * rank, length), spread=0.05)
+            share = 1 if profile == "paper" else 5
+            whole = (150_000 if task == "panda-reach" else 1_000_000) // share
+            steps[label] = [whole * (at + 1) // 10 for at in range(10)]
+            checkpoints[rig] = [at.step // share for at in published.checkpoints(task, name)[: len(played)]]
+            success = np.clip(series[label][:, : len(played)] - 0.1, 0, 1)
+            after[rig] = {
+                "success": success,
+                "deployed_lost": np.full(success.shape, lost),
+                "deployed_breakdowns": 0 * success,
+            }
+    rows, jobs = frames("sim-to-real", after, steps=checkpoints, profile=profile)
+    return section("sim-to-real", series, steps=steps, profile=profile, deployments=(rows.assign(episodes=20), jobs))

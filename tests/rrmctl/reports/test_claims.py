@@ -166,6 +166,7 @@ def test_pooled_tasks_are_one_number():
     assert judge(pooled, {"e": half}, QUICK).verdict == "not enough data"
 
 
+@pytest.mark.slow
 def test_a_success_rate_with_less_feedback_is_the_last_one():
     """PEBBLE "drops below 60 %" and priors "achieve at least 85 %" at the last step, as a mean over the tasks' IQMs:
     getting there late does no harm, and no hard task is pooled away.
@@ -216,6 +217,33 @@ def test_measured_columns_are_claimed_too():
     assert "is not measured" in judge(accuracy, {"opposite-prior": broken}, QUICK).deciding.why
 
 
+#: Success first and last, as the paper tells it of the experiments on images.
+SEEN = {
+    "main-results": {
+        "pebble": (0.0, 0.2), "rrm-penalty": (0.1, 0.5), "rrm-language": (0.1, 0.7), "rrm-imitation": (0.2, 0.9)
+    },
+    "image-ablation": {
+        "drqv2-penalty": (0.0, 0.0), "drqv2-language": (0.0, 0.02),
+        "rrm-penalty": (0.0, 1.0), "rrm-language": (0.0, 1.0),
+    },
+    "image-encoder": {
+        "pebble": (0.0, 0.2), "rrm-penalty": (0.1, 0.9), "rrm-language": (0.1, 0.9), "rrm-imitation": (0.7, 0.8)
+    },
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("experiment", "arms"), SEEN.items())
+def test_claims_about_images(experiment, arms):
+    """All hold where the curves are as the paper tells them, none where success and failure change places."""
+    about = [each for each in CLAIMS if each.experiment == experiment and each.tasks[0].endswith("-image")]
+    labels = itertools.product(about[0].tasks, arms)
+    told = {(task, method, "oracle", FULL): curve(*arms[method]) for task, method in labels}
+    otherwise = {label: 1 - values for label, values in told.items()}
+    for series, expected in ((told, "held"), (otherwise, "not held")):
+        found = {experiment: section(experiment, series, steps=[1, 2])}
+        assert [judge(each, found, QUICK).verdict for each in about] == [expected] * len(about)
+
+
 def planned(name):
     """A section with three seeds of everything that a manifest plans, made up."""
     plan = make_plan(load(EXPERIMENTS / f"{name}.toml"), seeds=(0, 1, 2))
@@ -224,6 +252,7 @@ def planned(name):
     return section(name, {label: rng.random((3, len(STEPS))) for label in labels}, steps=STEPS)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("experiment", sorted({each.experiment for each in CLAIMS}))
 def test_every_claim_is_one_of_a_manifest(experiment):
     """What a claim compares is what its experiment plans: with all runs there, no comparison misses any."""

@@ -31,6 +31,7 @@ def test_the_table_is_printed(results):
     assert "14 of 15 planned runs" in ran.stdout
 
 
+@pytest.mark.slow
 def test_explain_says_once_what_every_table_means(results):
     """`report explain` tells of every table and of one, needs no results, and refuses a table that is not there."""
     whole, one = rrmctl("report", "explain"), rrmctl("report", "explain", "power")
@@ -60,6 +61,7 @@ def test_a_profile_can_be_singled_out(results):
     assert [report["profile"] for report in json.loads(ran.stdout)["reports"]] == ["smoke"]
 
 
+@pytest.mark.slow
 def test_a_file_takes_the_place_of_the_terminal(results, tmp_path):
     """`-o` writes the whole file, makes its folder and prints nothing."""
     target = tmp_path / "new" / "table.md"
@@ -93,6 +95,7 @@ def test_an_empty_store_says_what_to_run(tmp_path):
     assert "rrmctl run quickstart" in ran.stderr
 
 
+@pytest.mark.slow
 def test_a_place_that_takes_no_write_is_named(results, tmp_path):
     """An impossible `-o` is one message with exit code 2."""
     blocker = tmp_path / "file"
@@ -108,6 +111,7 @@ def everything(folder):
     return {path: (path.read_bytes() if path.is_file() else b"", path.stat().st_mtime_ns) for path in folder.rglob("*")}
 
 
+@pytest.mark.slow
 def test_reading_commands_change_nothing(results, tmp_path):
     """Not a byte and not a time of change below the results folder, whatever reads it."""
     run = Layout(results).run_ids()[0]
@@ -124,6 +128,7 @@ def test_reading_commands_change_nothing(results, tmp_path):
         assert everything(results) == before, words
 
 
+@pytest.mark.slow
 def test_what_is_written_again_with_the_same_content_is_left_alone(results, tmp_path):
     """Figures, tables, pages and exports of equal results: the files keep their bytes and their times of change."""
     commands = (
@@ -143,6 +148,7 @@ def test_what_is_written_again_with_the_same_content_is_left_alone(results, tmp_
     assert written() == written()
 
 
+@pytest.mark.slow
 def test_the_last_evaluations_take_the_place_of_one(results, tmp_path):
     """`--final mean-K` reaches every form of every table, the page, which names it, and figures of other names;
     `--final last` changes nothing.
@@ -173,6 +179,7 @@ def test_the_last_evaluations_take_the_place_of_one(results, tmp_path):
     assert f"{tmp_path}/main-results-laptop-mean-2.svg" in names
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("wrong", ["mean-0", "mean--1", "mean-", "mean-2.5", "5", "first", "", "mean-٣", "mean-5\n"])
 def test_no_number_of_evaluations_is_refused(results, wrong):
     """One message that says what is expected, exit code 2; tables, page and figures alike."""
@@ -184,6 +191,7 @@ def test_no_number_of_evaluations_is_refused(results, wrong):
     assert not (results / "figures").exists()
 
 
+@pytest.mark.slow
 def test_figures_are_written_and_named(results):
     """`plot` writes every figure that suits as PNG, PDF and SVG below the results and prints their paths."""
     ran = rrmctl("plot", "main-results", "--results", results, "--replicates", 100)
@@ -213,6 +221,7 @@ def test_a_figure_that_does_not_suit_is_named(results):
     assert 'did you mean "box"' in unknown.stderr
 
 
+@pytest.mark.slow
 def test_a_figure_that_cannot_be_drawn_keeps_no_other_back(tmp_path):
     """A damaged file costs its own figure, which is said; asked for by name it is an error."""
     sweep = scenes.finetune()
@@ -227,6 +236,7 @@ def test_a_figure_that_cannot_be_drawn_keeps_no_other_back(tmp_path):
     assert rrmctl("plot", *options, "--figure", "gradient-norm").exit_code == 2
 
 
+@pytest.mark.slow
 def test_figures_of_variants_do_not_overwrite_one_another(results, tmp_path):
     """Overrides put the variant's digits into the name; the paper's profile needs no mention."""
     Sweep(profile="paper", variant="paper-feed", overrides={"agent.batch": 64}).write(results)

@@ -120,6 +120,7 @@ def test_no_other_run_is_trained_anew(tmp_path, installed):
     ]
 
 
+@pytest.mark.slow
 def test_one_variant_refuses_no_other(tmp_path):
     """Mixed runs of one profile are refused where they are asked for; the other profile is reported."""
     Sweep(versions=old("pebble", 0, 1)).write(tmp_path)
@@ -132,6 +133,7 @@ def test_one_variant_refuses_no_other(tmp_path):
     assert made.exit_code == 0
 
 
+@pytest.mark.slow
 def test_a_variant_of_several_configurations_refuses_no_other(tmp_path):
     """The same where runs of one series differ in more than their seed, which no option allows."""
     Sweep(cells={SEEDS[3]: "feedfeedfeedfeed"}).write(tmp_path)
@@ -175,6 +177,7 @@ def test_runs_of_which_nothing_is_known_are_named(tmp_path):
     assert "1 run (button-press pebble" in section.remarks[0]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("form", FORMATS)
 def test_a_mixed_table_says_so_in_every_form(tmp_path, form):
     """`--allow-mixed` shows the table; each form says that it is mixed and how."""
@@ -191,6 +194,7 @@ def test_a_mixed_table_says_so_in_every_form(tmp_path, form):
         assert json.loads(shown.stdout)["reports"][0]["mixed"]
 
 
+@pytest.mark.slow
 def test_mixed_curves_are_drawn_on_demand_and_never_kept(tmp_path):
     """`plot` takes the option too; the aggregated file, which has no room for a note, is not written."""
     Sweep(versions=old("pebble", 0, 1, 2, 3, 4)).write(tmp_path)

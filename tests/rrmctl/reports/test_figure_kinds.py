@@ -38,6 +38,7 @@ APPEAR = {
 QUICK = {"replicates": 100}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scene", SCENES)
 def test_a_figure_appears_where_it_says_something(scene):
     """Of each experiment exactly the figures that suit it."""

@@ -58,7 +58,7 @@ TABLES = {
 
 
 @pytest.mark.parametrize("name", TABLES)
-def test_every_table_compiles_and_fits(compiled, name, robot):
+def test_every_table_compiles_and_fits(compiled, name):
     """Each table is typeset without an error, and none sticks out of the page."""
     log = compiled(to_text(TABLES[name](), "latex"))
     assert max(wide(log), default=0.0) < 15.0

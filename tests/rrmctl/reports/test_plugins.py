@@ -69,6 +69,7 @@ def copied(tmp_path):
     return tmp_path / "rrmctl", run
 
 
+@pytest.mark.slow
 def test_a_file_is_a_command(copied, tmp_path):
     """A module put beside the others is listed with its first line, and makes its table in every form."""
     package, run = copied
@@ -85,6 +86,7 @@ def test_a_file_is_a_command(copied, tmp_path):
     assert '"runs": 15' in shown["json"].stdout
 
 
+@pytest.mark.slow
 def test_options_of_its_own_are_options_of_that_table_alone(copied, tmp_path):
     """`OPTIONS` gives a table --plus-minus; one that does not name it has no such option."""
     package, run = copied
@@ -203,6 +205,7 @@ def test_the_highest_of_each_group(entries):
         assert all(top >= max(values) - 1e-9 * max(1, abs(top)) for top in tops)
 
 
+@pytest.mark.slow
 def test_a_table_is_a_frame_in_a_notebook(tmp_path):
     """The rows are those of the reports, with the section they belong to in front."""
     Sweep().write(tmp_path)

@@ -171,6 +171,7 @@ def test_the_protocol_is_read_from_the_runs(tmp_path):
     assert section.evaluation == ("10 episodes an evaluation, success at any step of an episode, deterministic policy",)
 
 
+@pytest.mark.slow
 def test_the_store_gives_the_same_sections_as_the_frames(tmp_path):
     """Files and DataFrames are two ways to one content."""
     sweep = Sweep(states={("button-press", "pebble", 1): "failed"})

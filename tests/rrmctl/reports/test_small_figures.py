@@ -6,7 +6,7 @@ from scipy.stats import trim_mean
 
 from rrm.imitation.finetune import GradientLog
 from rrmctl.errors import UserError
-from rrmctl.reports.figures import gradient_norm
+from rrmctl.reports.figures import deployed, gradient_norm
 from rrmctl.reports.figures.ablation import ablation
 from rrmctl.reports.figures.diagnostics import diagnostics
 from rrmctl.reports.figures.gradient_norm import gradient_norms
@@ -17,12 +17,13 @@ from rrmctl.reports.select import read_sections, sections
 from rrmctl.reports.statistics import Statistics
 from rrmctl.reports.styles import style
 from rrmctl.reports.tables import less_feedback as less_feedback_table
+from rrmctl.reports.tables import sim_to_real
 from rrmctl.store import load_gradients
 from rrmctl.store.files import DamagedError
 from rrmctl.store.layout import Layout
 from tests.rrmctl.reports import scenes, stores
 from tests.rrmctl.reports.frames import RISING, Sweep, together
-from tests.rrmctl.reports.pictures import legend, lines, panels, words
+from tests.rrmctl.reports.pictures import legend, lines, misplaced, panels, words
 
 
 def titles(figure):
@@ -268,3 +269,26 @@ def test_a_profile_pools_tasks_unless_that_loses_a_method():
     few = {name: RISING[name] for name in ("oracle", "rrm-proxy")}
     figure = profile(*together(Sweep(), Sweep(curves=few, tasks=("door-open",))), replicates=100)
     assert titles(figure) == ["button-press, step 400", "door-open, step 400"]
+
+
+def test_deployed_checkpoints_are_points():
+    """A panel a task: at the rig with an interval, the simulation hollow, the paper's robot as a dash; as its table."""
+    section = stores.deployed(lost=1)
+    figure = deployed.draw(section, Statistics(replicates=300))
+    assert titles(figure) == ["panda-reach", "panda-push", "panda-pick-and-reach"]
+    push = panels(figure)[1]
+    assert [label.get_text() for label in push.get_xticklabels()] == ["400k", "600k", "800k"]
+    (report,) = sim_to_real.make([section], Statistics(replicates=300))
+    told = report.table.query("task == 'panda-push' and method == 'rrm-h2o' and score == 'success'")
+    ours, simulated, paper = (line for line in push.get_lines() if line.get_color() == style("rrm-h2o").color)
+    for drawn, column in ((ours, "iqm"), (simulated, "simulation"), (paper, "published")):
+        np.testing.assert_allclose(drawn.get_ydata(), 100 * told[column])
+    assert (simulated.get_markerfacecolor(), paper.get_marker()) == ("white", "_")
+    assert "the cube was lost from sight" in words(figure)
+    assert not deployed.suits(stores.section("x", {("panda-push", "pebble", "oracle", "a"): [[0.1]]}, steps=[1]))
+
+
+@pytest.mark.parametrize("width", ["column", "page"])
+def test_deployments_are_not_cut_off(width):
+    """Titles, names of axes, legend and notes lie on the page and not on one another."""
+    assert misplaced(deployed.draw(stores.deployed(), Statistics(width=width, replicates=100))) == []

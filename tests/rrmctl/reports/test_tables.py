@@ -18,7 +18,7 @@ from rrmctl.reports.report import NoDataError
 from rrmctl.reports.statistics import Statistics
 from rrmctl.reports.tables import all as everything
 from rrmctl.reports.tables import claims, final, iqm, less_feedback, noisy_teacher, sim_to_real
-from tests.rrmctl.reports.stores import FULL, curve, section
+from tests.rrmctl.reports.stores import FULL, at_the_rig, curve, deployed, frames, section
 
 QUICK = Statistics(replicates=300)
 STEPS = [100_000, 200_000, 300_000, 400_000, 500_000]
@@ -128,6 +128,7 @@ def test_the_step_of_every_task_is_told():
     assert "Read at the last common step: door-open stochastic at 100, button-press stochastic at 200." in report.notes
 
 
+@pytest.mark.slow
 def test_the_best_method_but_the_oracle_is_bold():
     """Under each teacher the highest value of a method other than the oracle is marked, in both forms."""
     (listed,) = noisy_teacher.make([noisy()], QUICK)
@@ -243,76 +244,105 @@ def test_a_task_without_a_second_schedule_is_left_out():
         less_feedback.make([little(schedules=(FULL,))], QUICK)
 
 
-def deployed(profile="paper", length=10):
-    series, steps = {}, {}
-    for task, method in (("panda-reach", "rrm-1d"), ("panda-push", "rrm-h2o"), ("panda-pick-and-reach", "rrm-h2o")):
-        for rank, name in enumerate(("pebble", method)):
-            label = (task, name, "oracle", FULL)
-            series[label] = curve(*np.linspace(0, 0.5 + 0.4 * rank, length), spread=0.05)
-            whole = (150_000 if task == "panda-reach" else 1_000_000) // (1 if profile == "paper" else 5)
-            steps[label] = [whole * (at + 1) // 10 for at in range(10)]
-    return section("sim-to-real", series, steps=steps, profile=profile)
-
-
-def test_checkpoints_stand_beside_the_physical_robots(robot):
+def test_checkpoints_stand_beside_the_physical_robots():
     """Each task and method has three checkpoints with success and return, all published, with the difference."""
     table = table_of(sim_to_real, deployed(), QUICK)
     assert len(table) == 6 * 3 * 2
     assert table["published"].notna().all()
     push = row(table, task="panda-push", method="rrm-h2o", paper_step=600_000, score="return")
-    assert (push["step"], push["published"]) == (600_000, -16.8)
+    assert (push["step"], push["published"], push["episodes"]) == (600_000, -16.8, 20)
     assert push["difference"] == pytest.approx(push["iqm"] + 16.8)
-    reach = table[(table["task"] == "panda-reach") & (table["method"] == "pebble") & (table["score"] == "success")]
-    assert list(reach["step"]) == [45_000, 90_000, 150_000]  # the last evaluations up to 50, 100 and 150 thousand
+    reach = row(table, task="panda-reach", method="pebble", paper_step=50_000, score="success")
+    assert reach["iqm"] == pytest.approx(0.1 - 0.1, abs=0.02)  # of the first deployment
+    assert reach["simulation"] == pytest.approx(0.1 + 0.5 * 2 / 9)  # of the evaluation at 45,000, the last before it
 
 
-def test_shorter_profiles_are_read_at_the_same_share(robot):
-    """A training of a fifth of the length is read at a fifth of the steps."""
-    table = table_of(sim_to_real, deployed(profile="laptop"), QUICK)
-    assert set(table[table["task"] == "panda-push"]["step"]) == {80_000, 120_000, 160_000}
+def test_shorter_profiles_are_deployed_at_the_same_share():
+    """A training of a fifth of the length is deployed at a fifth of the steps, and they are told apart."""
+    (report,) = sim_to_real.make([deployed(profile="laptop")], QUICK)
+    push = report.table[report.table["task"] == "panda-push"]
+    assert set(push["step"]) == {80_000, 120_000, 160_000}
+    assert push["n"].eq(5).all()
+    assert "80,000 (400,000)" in {cells[1] for cells in report.grid.rows}
 
 
-def test_checkpoints_that_are_not_reached_are_left_open(robot):
-    """Runs under way give the checkpoints that they have passed, with n 0 for the others."""
-    table = table_of(sim_to_real, deployed(length=5), QUICK)
+def test_checkpoints_that_are_not_deployed_are_left_open():
+    """Deployments under way give those that they have passed, with n 0 for the others; of a shorter training under way
+    nobody knows yet which steps they are.
+    """
+    table = table_of(sim_to_real, deployed(played=(1,)), QUICK)
     push = table[(table["task"] == "panda-push") & (table["score"] == "success") & (table["method"] == "pebble")]
     assert list(push["n"]) == [5, 0, 0]
     assert push["iqm"].isna().tolist() == [False, True, True]
+    nothing = section(
+        "sim-to-real", {("panda-push", "pebble", "oracle", FULL): curve(0.5, 0.6)}, steps=[400_000, 10**6]
+    )
+    (report,) = sim_to_real.make([nothing], QUICK)
+    assert report.table.query("score == 'success'")["simulation"].tolist() == [0.5, 0.5, 0.5]
+    assert any("Nothing was deployed yet" in note for note in report.notes)
 
 
-def test_evaluations_that_are_not_a_number_are_passed_over(robot):
+def test_a_checkpoint_of_ones_own_is_a_row():
+    """What the paper did not deploy has no value of its."""
+    label, rig = (("panda-push", name, "oracle", FULL) for name in ("pebble", "pebble deployed"))
+    after = frames("sim-to-real", {rig: at_the_rig(curve(0.7))}, steps=[500_000])
+    found = section("sim-to-real", {label: curve(0.5, 0.6)}, steps=[500_000, 10**6], deployments=after)
+    own = row(table_of(sim_to_real, found, QUICK), step=500_000, score="success")
+    assert (own["iqm"], own["simulation"]) == (pytest.approx(0.7), pytest.approx(0.5))
+    assert math.isnan(own["published"])
+
+
+def test_what_happened_at_the_rig_is_said():
+    """Episodes in which the cube was lost from sight."""
+    (report,) = sim_to_real.make([deployed(lost=1)], QUICK)
+    assert "Of 1800 episodes: 90 ended without success because the cube was lost from sight." in report.notes
+
+
+def test_evaluations_that_are_not_a_number_are_passed_over():
     """A checkpoint is read at the evaluation before; runs without any number leave theirs open, in every profile."""
     label, whole = ("panda-push", "pebble", "oracle", FULL), [200_000 * (at + 1) for at in range(5)]
     values = curve(0.1, 0.2, 0.3, 0.4, 0.5)
     values[0, 2] = np.nan
     steps = [each // 5 for each in whole]
     found = section("sim-to-real", {label: {"success": values, "true_return": values}}, steps=steps, profile="laptop")
-    assert list(table_of(sim_to_real, found, QUICK).query("score == 'success'")["step"]) == [80_000, 80_000, 160_000]
+    read = table_of(sim_to_real, found, QUICK).query("score == 'success'")["simulation"]
+    assert read.tolist() == pytest.approx([0.2, 0.2, 0.4])
     for profile in ("laptop", "paper"):
         nothing = section("sim-to-real", {label: np.full((5, 5), np.nan)}, steps=whole, profile=profile)
-        assert list(table_of(sim_to_real, nothing, QUICK)["n"]) == [0] * 6
+        assert table_of(sim_to_real, nothing, QUICK)["simulation"].isna().all()
 
 
-def test_the_robots_grid_has_both_scores(robot):
-    """Success and return stand beside one another with the paper's value and the difference; n is in every row."""
+def test_the_robots_grid_has_both_scores():
+    """Success and return stand beside one another with the simulation's, the paper's and the difference; n is in every
+    row, and the title says where it was.
+    """
     (report,) = sim_to_real.make([deployed()], QUICK)
-    assert report.grid.header[4:] == (
-        "Success", "Success, 95 %", "Success, paper", "Return", "Return, 95 %", "Return, paper", "n"
+    assert report.title.endswith("simulated rig")
+    assert report.grid.header[3:] == (
+        "Success", "Success, 95 %", "Success, sim", "Success, paper",
+        "Return", "Return, 95 %", "Return, sim", "Return, paper", "n",
     )  # fmt: skip
     assert len(report.grid.rows) == 18
     assert [cells[:3] for cells in report.grid.rows[:2]] == [
         ("panda-reach", "50,000", "pebble"),
         ("panda-reach", "50,000", "rrm-1d"),
     ]
-    assert len(report.grid.best) == 18  # the better one of each checkpoint, for both scores
+    assert {report.grid.rows[line][2] for line, _ in report.grid.best} >= {"rrm-1d", "rrm-h2o"}
 
 
-def test_the_robots_oracle_is_not_bold(robot):
+def test_the_robots_oracle_is_not_bold():
     """A policy trained on the true reward stands in the table, outside of the comparison."""
-    labels = [("panda-push", "oracle", "-", "-"), ("panda-push", "pebble", "oracle", FULL)]
-    series = {label: curve(0.5, 1.0 - 0.5 * at) for at, label in enumerate(labels)}
-    (report,) = sim_to_real.make([section("sim-to-real", series, steps=[600_000, 1_000_000])], QUICK)
-    assert {report.grid.rows[row][2] for row, _ in report.grid.best} == {"pebble"}
+    names = [("oracle", "-", "-"), ("pebble", "oracle", FULL)]
+    series = {("panda-push", *name): curve(0.5, 1.0 - 0.5 * at) for at, name in enumerate(names)}
+    after = {
+        ("panda-push", f"{name[0]} deployed", *name[1:]): at_the_rig(curve(0.9 - 0.5 * at))
+        for at, name in enumerate(names)
+    }
+    found = section(
+        "sim-to-real", series, steps=[600_000, 1_000_000], deployments=frames("sim-to-real", after, steps=[600_000])
+    )
+    (report,) = sim_to_real.make([found], QUICK)
+    assert {report.grid.rows[line][2] for line, _ in report.grid.best} == {"pebble"}
 
 
 def test_a_store_without_the_robot_says_so():
@@ -345,6 +375,7 @@ def test_nothing_of_ours_comes_from_the_paper(monkeypatch):
     pd.testing.assert_frame_equal(before[ours], after[ours])
 
 
+@pytest.mark.slow
 def test_everything_at_once_leaves_out_what_there_is_no_data_for():
     """`all` holds every table of the data and names each one's kind; tables of other data are left out."""
     made = everything.make([noisy(), little()], QUICK)
@@ -353,6 +384,7 @@ def test_everything_at_once_leaves_out_what_there_is_no_data_for():
     assert kinds.count("noisy-teacher") == 1
 
 
+@pytest.mark.slow
 def test_the_docs_name_every_fact():
     """What stands beside the rows of csv and json is in docs/reports.md, between backticks."""
     text = (Path(__file__).parents[3] / "docs" / "reports.md").read_text(encoding="utf-8")
@@ -385,7 +417,7 @@ VALUES = np.array([[0.0, 0.2, 0.4, 0.9], [0.1, 0.5, 0.3, 1.0], [0.0, 0.4, 0.5, 0
 
 
 @pytest.mark.parametrize("last", [1, 2, 3, 9])
-def test_a_score_at_a_step_can_be_of_several_evaluations(last, robot):
+def test_a_score_at_a_step_can_be_of_several_evaluations(last):
     """In every table that reads a step a run's score there is the mean of its last evaluations, or of those there are;
     areas, means over steps and the step itself stay as they are.
     """
@@ -409,7 +441,7 @@ def test_a_score_at_a_step_can_be_of_several_evaluations(last, robot):
     assert found["final_iqm"].tolist() == [pytest.approx(wanted)] * 2
     assert found["mean_iqm"].tolist() == [pytest.approx(trim_mean(VALUES, 0.25, axis=0).mean())] * 2
     third = row(table_of(sim_to_real, deployed_, settings), paper_step=800_000, score="success")
-    assert third["iqm"] == pytest.approx(trim_mean(VALUES[:, max(0, 3 - last) : 3].mean(axis=1), 0.25))
+    assert third["simulation"] == pytest.approx(trim_mean(VALUES[:, max(0, 3 - last) : 3].mean(axis=1), 0.25))
 
 
 def test_no_evaluation_is_no_score():
@@ -442,13 +474,13 @@ RECORDED = {
 
 @pytest.mark.parametrize(("form", "suffix"), [("markdown", "md"), ("latex", "tex"), ("terminal", "txt")])
 @pytest.mark.parametrize("name", RECORDED)
-def test_text_is_as_recorded(name, form, suffix, robot):
+def test_text_is_as_recorded(name, form, suffix):
     """The text of every kind is that of the golden file, to the byte."""
     assert to_text(RECORDED[name](), form) == (GOLDEN / f"{name}.{suffix}").read_text(encoding="utf-8")
 
 
 @pytest.mark.parametrize("name", RECORDED)
-def test_values_are_as_recorded(name, robot):
+def test_values_are_as_recorded(name):
     """CSV and JSON of every kind are the golden files', but for the last digits of a processor's sums."""
 
     def rounded(text):

@@ -12,6 +12,7 @@ import errno
 import json
 import os
 import re
+import shutil
 import signal
 import subprocess
 import sys
@@ -22,6 +23,7 @@ from typing import Any
 
 from rrm.config import EvaluationConfig, ExplorationConfig, RewardConfig
 from rrm.errors import PriorError, WaitingError
+from rrm.teachers.labels import read_labels
 from rrm.training.run_config import RunConfig
 from rrm.tuning import OTHERWISE, Choice
 from rrm.types import EvalRow
@@ -144,6 +146,11 @@ def misbehave(behaviour: str, folder: Path, monitor: RunMonitor) -> None:
         case "wait" if not (folder.parents[1] / "answers").exists():
             with monitor.writing():
                 save(folder / "checkpoint" / "step", monitor.status.step)
+            raise WaitingError("3 answers of its teacher")
+        case "ask" if not any(label.sealed for label in read_labels(folder / "labels.parquet")):
+            with monitor.writing():
+                save(folder / "checkpoint" / "step", monitor.status.step - 1)
+                shutil.copytree(folder.parents[1] / "asked" / folder.name, folder, dirs_exist_ok=True)
             raise WaitingError("3 answers of its teacher")
         case "refuse":
             raise PriorError("prior returned NaN at step 20")

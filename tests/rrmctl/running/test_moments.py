@@ -11,6 +11,7 @@ import pytest
 
 
 @pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize(("what", "least"), [("worker", 200), ("command", 10)])
 def test_killed_at_each_file_operation(what: str, least: int, tmp_path: Path) -> None:
     """Whichever it is, and however often: the next one ends with the same rows, networks and records."""

@@ -14,7 +14,7 @@ import sys
 import threading
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 import pytest
@@ -27,6 +27,7 @@ from rrmctl.running.scheduler import Outcome, Stage
 from rrmctl.running.supervisor import Supervisor, Terms
 from rrmctl.store import load
 from rrmctl.store.files import try_lock
+from rrmctl.store.labels import OpenSession
 from rrmctl.store.layout import Layout
 from rrmctl.store.status import ErrorKind, RunState, log_tail, read_status, run_status, write_status
 from rrmctl.store.sweeps import Job
@@ -76,6 +77,9 @@ class Record:
             self.errors.append(str(outcome.error))
 
     def stopping(self, workers: int, wait_s: float) -> None:
+        pass
+
+    def asked(self, sessions: Sequence[OpenSession]) -> None:
         pass
 
     def tick(self) -> None:
@@ -170,6 +174,7 @@ def go(layout: Layout) -> None:
     (layout.root / "go").touch()
 
 
+@pytest.mark.slow
 def test_a_run_that_waits_gives_its_slot_to_the_others(tmp_path: Path, behave: Callable[..., None]) -> None:
     """Its process leaves, it is no failure, `status` says for what; once that has come, it goes on where it was."""
     behave(s0="wait")
@@ -189,6 +194,7 @@ def test_a_run_that_waits_gives_its_slot_to_the_others(tmp_path: Path, behave: C
     assert rows(tmp_path) == expected(range(2))
 
 
+@pytest.mark.slow
 def test_every_job_is_run_once_and_recorded(tmp_path: Path) -> None:
     """More jobs than slots: all done at the first attempt, with every row, a log and no lock held."""
     layout, assigned = prepare(tmp_path, range(4))
@@ -202,6 +208,7 @@ def test_every_job_is_run_once_and_recorded(tmp_path: Path) -> None:
     assert json.loads(folder.provenance.read_text())["argv"] == ["rrmctl", "run"]
 
 
+@pytest.mark.slow
 def test_running_a_finished_sweep_again_does_nothing(tmp_path: Path) -> None:
     """Even where the caller did not notice: what another process finished meanwhile is taken as it is."""
     layout, assigned = prepare(tmp_path, range(2))
@@ -212,6 +219,7 @@ def test_running_a_finished_sweep_again_does_nothing(tmp_path: Path) -> None:
     assert attempts(layout, assigned) == [1, 1]
 
 
+@pytest.mark.slow
 def test_a_killed_worker_costs_one_attempt_and_no_other_job(tmp_path: Path, behave: Callable[..., None]) -> None:
     """SIGKILL in the middle: that run goes on from its checkpoint, the others never notice, no row is lost."""
     behave(other="gate")
@@ -257,6 +265,7 @@ def test_a_failing_job_fails_alone_and_says_why(
         assert "RuntimeError: boom" in log_tail(layout.run(assigned[1].id))
 
 
+@pytest.mark.slow
 def test_a_run_without_its_configuration_goes_on_once_that_is_there(tmp_path: Path) -> None:
     """It fails alone, with what to do; nothing is recorded that would keep the next command from running it."""
     layout, assigned = prepare(tmp_path, range(2))
@@ -333,15 +342,23 @@ def test_a_full_disk_stops_the_sweep_and_says_so(tmp_path: Path, behave: Callabl
     assert pool(layout, assigned).run() is Exit.DONE
 
 
-def test_one_signal_checkpoints_and_stops(tmp_path: Path, behave: Callable[..., None]) -> None:
-    """SIGINT: no worker is left, runs that had begun are interrupted, and a later pool ends them with the same rows."""
+@pytest.mark.slow
+@pytest.mark.parametrize("numbers", [(signal.SIGINT,), (signal.SIGTERM, signal.SIGTERM)])
+def test_one_signal_checkpoints_and_stops(
+    tmp_path: Path, behave: Callable[..., None], numbers: Sequence[signal.Signals]
+) -> None:
+    """No worker is left, runs that had begun are interrupted, and a later pool ends them with the same rows; programs
+    may say it again.
+    """
     behave(other="gate")
     layout, assigned = prepare(tmp_path, range(3))
     pids: list[int] = []
 
     def interrupt() -> None:
         pids.extend(half_way(layout, assigned[:2]))
-        os.kill(os.getpid(), signal.SIGINT)
+        for number in numbers:
+            os.kill(os.getpid(), number)
+            time.sleep(0.1)
 
     with meanwhile(interrupt):
         assert pool(layout, assigned, slots=2).run() is Exit.INCOMPLETE
@@ -356,6 +373,7 @@ def test_one_signal_checkpoints_and_stops(tmp_path: Path, behave: Callable[..., 
     assert rows(tmp_path) == expected(range(3))
 
 
+@pytest.mark.slow
 def test_a_worker_that_will_not_leave_is_ended_in_time(tmp_path: Path, behave: Callable[..., None]) -> None:
     """After SIGTERM to the pool, one that hangs is killed when its time is up; its run is interrupted, not failed."""
     behave(other="hang")
@@ -390,6 +408,7 @@ def test_a_second_signal_ends_everything_at_once(tmp_path: Path, behave: Callabl
     assert states(layout, assigned) == [RunState.INTERRUPTED] * 2
 
 
+@pytest.mark.slow
 def test_workers_whose_parent_is_killed_checkpoint_and_leave(tmp_path: Path, behave: Callable[..., None]) -> None:
     """SIGKILL of the parent leaves no orphan; the runs are interrupted and go on with the same rows."""
     behave(other="gate")

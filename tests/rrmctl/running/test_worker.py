@@ -73,18 +73,26 @@ def test_a_run_from_start_to_end(folder: RunFolder, capsys: pytest.CaptureFixtur
 
 def test_a_finished_run_is_left_alone(folder: RunFolder) -> None:
     """Nothing is trained or written a second time."""
+
+    def written() -> dict[Path, int]:
+        return {path: path.stat().st_mtime_ns for path in folder.path.iterdir() if "lease" not in path.name}
+
     work(folder)
-    before = {path: path.stat().st_mtime_ns for path in folder.path.iterdir()}
+    before = written()
     assert work(folder) is WorkerExit.DONE
-    assert {path: path.stat().st_mtime_ns for path in folder.path.iterdir()} == before
+    assert written() == before
 
 
 def test_fresh_removes_what_the_run_holds(folder: RunFolder) -> None:
     """The attempt goes on counting, the provenance begins anew. Two who ask for it at once get it once."""
     work(folder)
+    for left in (folder.networks / "20.safetensors", folder.deployments / "20-01234567.parquet", folder.episodes):
+        left.parent.mkdir(exist_ok=True)
+        left.touch()
     for _ in range(2):
         assert work(folder, "--fresh", "1") is WorkerExit.DONE
         assert read_status(folder).attempt == 2
+        assert not any(path.exists() for path in (folder.networks, folder.deployments, folder.episodes))
         assert json.loads(folder.provenance.read_text())["resumed"] == []
 
 
@@ -180,11 +188,16 @@ def test_a_run_of_another_version_is_refused_and_left_as_it_is(
     folder: RunFolder, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """It is whole, and for another program: nothing is set aside or trained again."""
+
+    def content() -> dict[str, bytes]:
+        files = [path for path in folder.path.iterdir() if path.is_file() and "lease" not in path.name]
+        return {path.name: path.read_bytes() for path in files}
+
     work(folder)
-    before = {path.name: path.read_bytes() for path in folder.path.iterdir() if path.is_file()}
+    before = content()
     monkeypatch.setattr(records, "SCHEMA_VERSION", 2)
     assert work(folder) is WorkerExit.REFUSED
-    assert {path.name: path.read_bytes() for path in folder.path.iterdir() if path.is_file()} == before
+    assert content() == before
 
 
 @pytest.mark.parametrize("name", ["status.json", "curve.parquet", "provenance.json"])

@@ -52,6 +52,40 @@ def test_leftovers_of_writers_that_died_are_removed(tmp_path: Path) -> None:
     assert {".lock", "status.json", ".config.json.12.tmp"} == {path.name for path in tmp_path.iterdir()}
 
 
+@pytest.mark.parametrize("ahead_s", [-7200.0, 7200.0])
+def test_leftovers_are_as_old_as_the_file_system_says(
+    tmp_path: Path, ahead_s: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Whatever this machine's clock says: the files may be another's, who is at work."""
+    there = time.time()
+    monkeypatch.setattr(time, "time", lambda: there + ahead_s)
+    for name, age_s in ((".young.1.tmp", 60.0), (".old.1.tmp", 3600.0)):
+        (tmp_path / name).touch()
+        os.utime(tmp_path / name, (there - age_s,) * 2)
+    remove_leftovers(tmp_path)
+    assert [path.name for path in tmp_path.iterdir()] == [".young.1.tmp"]
+
+
+def test_what_is_not_there_is_looked_for_behind_a_listing(tmp_path: Path) -> None:
+    """Another machine may have made it since it was last looked for, and NFS says so to nobody but who lists."""
+    script = """if True:
+        import sys
+        from pathlib import Path
+        from rrmctl.store.files import read_bytes
+        path, events = Path(sys.argv[1]), []
+        def look(event, arguments):
+            if event in ("open", "os.listdir", "os.scandir") and str(arguments[0]).startswith(str(path.parent)):
+                events.append(event)
+                if event != "open":
+                    path.write_bytes(b"made meanwhile")
+        sys.addaudithook(look)
+        print(read_bytes(path), events[0], events[1])
+    """
+    command = [sys.executable, "-c", script, str(tmp_path / "status.json")]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=30, check=True)
+    assert done.stdout == "b'made meanwhile' open os.listdir\n"
+
+
 @pytest.mark.parametrize("content", ["", "{", "[1]", '{"a": 1', "\x00\x00"])
 def test_json_that_is_not_an_object_is_refused_by_name(tmp_path: Path, content: str) -> None:
     """A torn JSON file is never taken for an empty one."""

@@ -40,10 +40,11 @@ def frames(root: Path) -> Iterator[tuple[str, pd.DataFrame]]:
     for each in counted:
         yield each.__name__, each(runs)
         yield f"{each.__name__} of nothing", each(())
-    for name in set(kinds()) - {"less-feedback", "noisy-teacher", "sim-to-real"}:
+    for name in set(kinds()) - {"less-feedback", "noisy-teacher", "sim-to-real", "human"}:
         yield name, report(name, root, "main-results")
 
 
+@pytest.mark.slow
 def test_columns_have_their_types(tmp_path: Path) -> None:
     """Text is `str`, what is counted whole, and nothing is left as Python's objects."""
     Sweep(states={("button-press", "pebble", 1): "failed"}).write(tmp_path)

@@ -76,12 +76,13 @@ def stopped_in_a_write(folder: RunFolder) -> Iterator[None]:
 
 
 def test_one_owner_at_a_time(folder: RunFolder) -> None:
-    """While somebody owns a run nobody else does; once released it can be taken, and no lease is left behind."""
+    """While somebody owns a run nobody else does; once released it can be taken, and what is left behind is empty."""
     first = Lease.take(folder)
     assert first is not None
     assert Lease.take(folder) is None
     first.release()
-    assert not folder.lease.exists()
+    assert read_beat(folder) is None
+    assert folder.lease_of(1).read_bytes() == b""
     second = Lease.take(folder)
     assert second is not None
     second.release()
@@ -114,7 +115,7 @@ def test_the_owner_gives_signs_of_life_in_a_long_write(folder: RunFolder, monkey
             time.sleep(0.02)
         assert beat_of(folder).count > before.count
         with taken._ending:
-            folder.lease.write_text('{"owner": "another", "count": 1}')
+            folder.lease_of(2).write_text('{"owner": "another", "count": 1}')
         time.sleep(0.1)
         assert beat_of(folder) == Beat("another", 1)
     taken.release()
@@ -222,6 +223,7 @@ def test_one_who_waits_for_the_guard_says_so(folder: RunFolder) -> None:
     taken.release()
 
 
+@pytest.mark.slow
 def test_leaving_does_not_wait_for_the_guard(folder: RunFolder) -> None:
     """The lock is free although the holder of the guard never wakes."""
     taken = Lease.take(folder)
@@ -261,6 +263,68 @@ def test_one_who_was_taken_over_by_somebody_who_is_done_by_now_writes_nothing(fo
     successor.release()
     with pytest.raises(LeaseLostError), owner.writing():
         raise AssertionError("nothing may happen here")
+
+
+def test_of_many_who_claim_a_run_one_has_it(folder: RunFolder) -> None:
+    """No lock keeps them apart, as on machines that do not see each other's: not one is made."""
+    for number in range(1, 30):
+        start, tokens = threading.Barrier(6), []
+
+        def claim(number: int = number, start: threading.Barrier = start, tokens: list[str | None] = tokens) -> None:
+            start.wait()
+            tokens.append(module._claim(folder, number))
+
+        threads = [threading.Thread(target=claim) for _ in range(6)]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join()
+        (token,) = filter(None, tokens)
+        assert folder.leases() == [number]
+        assert beat_of(folder).owner == token
+    assert [path.name for path in folder.path.iterdir()] == ["lease-29.json"]
+
+
+def test_who_looked_before_others_had_the_run_does_not_get_it(folder: RunFolder) -> None:
+    """Its number is free again, and there is a later one."""
+    assert module._claim(folder, 7)
+    assert module._claim(folder, 3) is None
+    assert folder.leases() == [7]
+
+
+def test_a_sign_of_life_that_comes_late_takes_nothing_back(folder: RunFolder, owner: Lease) -> None:
+    """The owner was frozen behind its look at who is the last, which no lock of the other machine kept waiting."""
+    token = module._claim(folder, 2)
+    owner._write()
+    assert beat_of(folder).owner == token
+    with pytest.raises(LeaseLostError), owner.writing():
+        raise AssertionError("nothing may happen here")
+
+
+def test_what_a_frozen_owner_was_about_to_put_in_place_is_gone(folder: RunFolder, owner: Lease) -> None:
+    """It was frozen in a write, which another machine does not see: it wakes, and the file is its successor's. What
+    others write into the folder, who own nothing, is left alone.
+    """
+    begun, answers = folder.path / ".curve.parquet.1.00.tmp", folder.path / ".labels.parquet.1.00.tmp"
+    answers.touch()
+
+    def write() -> None:
+        begun.write_text("mine")
+        assert module._claim(folder, 2)
+        begun.replace(folder.curve)
+
+    with pytest.raises(LeaseLostError), owner.writing():
+        write()
+    assert not folder.curve.exists()
+    assert answers.exists()
+
+
+def test_a_write_that_fails_by_itself_is_no_lost_lease(folder: RunFolder, owner: Lease) -> None:
+    """Only a later owner makes it one."""
+    with pytest.raises(FileNotFoundError), owner.writing():
+        (folder.path / "nothing").unlink()
+    with owner.writing():
+        pass
 
 
 def test_a_sign_of_life_prevents_being_taken_over(folder: RunFolder, owner: Lease) -> None:

@@ -40,7 +40,7 @@ def folder(tmp_path: Path) -> RunFolder:
 
 def write_beat(folder: RunFolder, machine: Machine = A) -> Beat:
     beat = Beat("another", 1, machine)
-    folder.lease.write_text(json.dumps(beat.to_json()))
+    folder.lease.write_bytes(beat.encoded())
     return beat
 
 
@@ -81,9 +81,10 @@ def test_a_lease_says_where_its_owner_lives(folder: RunFolder) -> None:
     """Host and boot are in the file; one of an earlier version is taken for this machine's."""
     lease = Lease.take(folder)
     assert lease is not None
-    value = json.loads(folder.lease.read_text())
+    value = json.loads(folder.lease_of(1).read_text())
     assert (value["host"], value["boot"]) == (HERE.host, HERE.boot)
     lease.release()
+    folder.lease_of(1).unlink()
     folder.lease.write_text('{"owner": "o", "count": 1}')
     assert read_beat(folder) == Beat("o", 1)
     assert not is_owned(folder)

@@ -66,6 +66,7 @@ def call(*arguments):
     return CliRunner().invoke(app, list(map(str, arguments)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("odd", ODD)
 @pytest.mark.parametrize("file", FILES)
 def test_nothing_is_waited_for_and_nothing_breaks(root, file, odd):
@@ -89,6 +90,7 @@ def test_nothing_is_waited_for_and_nothing_breaks(root, file, odd):
         assert isinstance(result.exception, SystemExit | None), (command, result.exception)
 
 
+@pytest.mark.slow
 def test_a_label_that_is_no_schedule_is_a_label(tmp_path):
     """A record may call its feedback anything: reports and pages take it for a name."""
     Sweep(feedback="now and then").write(tmp_path)
@@ -104,6 +106,7 @@ def test_a_label_that_is_no_schedule_is_a_label(tmp_path):
 EVIL = "\x1b[2J\x1b]0;owned\x07\x9b31m\u202e"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("terminal", [False, True])
 def test_what_a_store_says_is_text_to_the_terminal(root, terminal):
     """Escape sequences in names, errors and logs are spelled out by every command; colours are the program's own."""

@@ -213,6 +213,7 @@ def program(rng):
     return "\n".join([BEGIN, *block(rng), "return x"]), above
 
 
+@pytest.mark.slow
 @settings(max_examples=100, deadline=None)
 @given(st.integers(0, 2**32))
 def test_whatever_is_admitted_ends(seed):

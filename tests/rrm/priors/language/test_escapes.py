@@ -399,6 +399,7 @@ def instructions(code):
             yield from instructions(part.argval)
 
 
+@pytest.mark.slow
 @settings(max_examples=300)
 @given(expressions())
 def test_whatever_is_admitted_is_harmless(expression):
@@ -424,6 +425,7 @@ def test_whatever_is_admitted_is_harmless(expression):
             return
 
 
+@pytest.mark.slow
 @settings(max_examples=300)
 @given(st.binary(max_size=300) | st.text(max_size=300).map(lambda text: text.encode(errors="replace")))
 def test_any_bytes_are_read_or_refused(source):

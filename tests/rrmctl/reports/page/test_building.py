@@ -55,6 +55,7 @@ def page(*arguments):
     return CliRunner().invoke(app, ["report", "html", *map(str, arguments)])
 
 
+@pytest.mark.slow
 def test_everything_of_the_reference_results_is_there():
     """Every experiment, table and figure that the data supports, every run; all of it below ten megabytes."""
     text = build(REFERENCE, settings=QUICK)
@@ -78,6 +79,7 @@ def test_everything_of_the_reference_results_is_there():
             assert all(f"<li>{escape(note)}</li>" in text for report in own for note in report.notes)
 
 
+@pytest.mark.slow
 def test_every_link_leads_somewhere(results):
     """Ids are unique, and each link of the page names one."""
     text = build(results, settings=QUICK)
@@ -96,11 +98,13 @@ def test_nothing_is_loaded_from_elsewhere(results):
     assert "<link" not in text
 
 
+@pytest.mark.slow
 def test_equal_stores_give_equal_pages(results):
     """The page is a function of the store: nothing in it depends on the moment or on chance."""
     assert build(results, settings=QUICK) == build(results, settings=QUICK)
 
 
+@pytest.mark.slow
 def test_runs_that_are_not_done_are_told(results):
     """A failed run stands there with its reason, one that was never begun as such."""
     text = build(results, settings=QUICK)
@@ -119,6 +123,7 @@ def test_a_plan_without_any_run_is_a_page(tmp_path):
     assert "rrmctl run main-results --profile laptop --tasks button-press --methods pebble --seeds 0," in text
 
 
+@pytest.mark.slow
 def test_runs_that_do_not_belong_together_are_listed(tmp_path):
     """Where nothing may be averaged the reason stands there instead; other experiments have tables."""
     Sweep(cells={(TASK, "pebble", 0): "0" * 16}).write(tmp_path)
@@ -130,6 +135,7 @@ def test_runs_that_do_not_belong_together_are_listed(tmp_path):
     assert 'id="toy-car-t-tables"' in text
 
 
+@pytest.mark.slow
 def test_the_command_writes_the_page(results, tmp_path):
     """`report html NAME -o FILE` writes one file, and says where and how large it is."""
     target = tmp_path / "new" / "page.html"
@@ -139,6 +145,7 @@ def test_the_command_writes_the_page(results, tmp_path):
     assert target.read_text().startswith('<!doctype html>\n<html lang="en">')
 
 
+@pytest.mark.slow
 def test_a_store_without_experiments_says_what_to_run(tmp_path):
     """An empty folder, a name and a profile that are not there: one message, exit code 2."""
     ran = page("--results", tmp_path, "-o", tmp_path / "page.html")
@@ -150,6 +157,7 @@ def test_a_store_without_experiments_says_what_to_run(tmp_path):
     assert not (tmp_path / "p").exists()
 
 
+@pytest.mark.slow
 def test_a_place_that_takes_no_write_is_named(results, tmp_path):
     """An impossible `-o` is one message with exit code 2."""
     (tmp_path / "file").write_text("")
@@ -273,6 +281,7 @@ def test_times_are_told_for_people(seconds, told):
     assert told == clock(seconds)
 
 
+@pytest.mark.slow
 def test_a_page_of_reference_results_can_be_made_anywhere(tmp_path):
     """The store is only read: a copy without permission to write gives the page."""
     shutil.copytree(REFERENCE, tmp_path / "reference")
@@ -327,6 +336,7 @@ def test_tables_stand_where_they_belong(tmp_path, monkeypatch):
     assert found.refused == {second: {"choosy": "no toys"}, SEVERAL: {"none": "nothing at all"}}
 
 
+@pytest.mark.slow
 def test_the_command_of_the_page_makes_it_again(tmp_path):
     """What it was made with stands on it, as far as that is not the default."""
     Sweep().write(tmp_path)
@@ -336,6 +346,7 @@ def test_the_command_of_the_page_makes_it_again(tmp_path):
     assert f"<code>{told}</code>" in (tmp_path / "page.html").read_text()
 
 
+@pytest.mark.slow
 def test_each_variant_has_its_own_reason(tmp_path):
     """Mixed runs of one profile are listed with the reason in their chapter; the other's tables are there."""
     Sweep(versions={(TASK, "pebble", seed): 1 for seed in range(5)}).write(tmp_path)
@@ -347,6 +358,7 @@ def test_each_variant_has_its_own_reason(tmp_path):
     assert 'id="main-results-laptop-iqm"' not in text
 
 
+@pytest.mark.slow
 def test_mixed_versions_are_shown_when_asked_for(tmp_path):
     """Runs of two configuration versions are listed with the reason; `--allow-mixed` shows them together, marked."""
     Sweep(versions={(TASK, "pebble", seed): 1 for seed in range(5)}).write(tmp_path)

@@ -14,6 +14,8 @@ from rrmctl.store.status import ErrorKind, RunError, RunState, Status, write_sta
 from tests.browser import browser
 from tests.rrmctl.reports.frames import RISING, Sweep
 
+pytestmark = pytest.mark.slow
+
 REFERENCE = Path(__file__).parents[4] / "results" / "reference"
 TASK = "button-press"
 NASTY = "<script>window.hit=1</script><img src=x onerror=window.hit=1>\"'>"

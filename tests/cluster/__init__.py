@@ -1,0 +1,1 @@
+"""Sweeps on a real Slurm, and folders that several machines share."""
