@@ -10,20 +10,23 @@ PIP := $(BIN)/python -m pip install
 # What pip says is shown where it fails: about some package indexes it warns a hundred times.
 LOGGED := >.venv/install.log 2>&1 || { cat .venv/install.log >&2; exit 1; }
 
-.PHONY: quickstart test test-slow check install browser tex opengl bench soak clean
+.PHONY: quickstart test test-slow test-cluster check install browser tex opengl cluster bench soak clean
 
 quickstart: install
 	$(BIN)/rrmctl run quickstart
 	$(BIN)/rrmctl report final quickstart
 	$(BIN)/rrmctl plot quickstart
 
-test: install browser
-	$(PYTEST) -n auto -m "not slow"
+test: install
+	$(PYTEST) -n auto -m "not slow and not cluster"
 
 test-slow: install browser
-	$(PYTEST) -n auto -m slow
+	$(PYTEST) -n $$(( $$(getconf _NPROCESSORS_ONLN) * 3 / 2 )) -m "slow and not cluster $(LEFT_OUT)"  # many of them wait
 
-# A headless Chromium from npm for the tests of the HTML report; without one they are skipped.
+test-cluster: install
+	$(PYTEST) -n 2 --dist loadfile -m cluster tests/cluster
+
+# A headless Chromium from npm for the tests of pages; without one they are skipped.
 browser: install
 	@$(BIN)/python -m tests.browser
 
@@ -45,6 +48,11 @@ tex:
 opengl: install
 	$(BIN)/python -c "from rrm.rendering import renderer; renderer()" 2>/dev/null || { $(AS_ROOT) apt-get update && \
 		$(AS_ROOT) apt-get install --yes --no-install-recommends libegl1 libegl-mesa0 libgl1-mesa-dri; }
+
+# Slurm for the tests of job arrays, on Debian and its kin; they run one of their own, on this machine alone.
+cluster:
+	command -v slurmctld || { $(AS_ROOT) apt-get update && \
+		$(AS_ROOT) apt-get install --yes --no-install-recommends slurm-wlm; }
 
 bench: .venv/benched
 	$(BIN)/python -m benchmarks $(BENCHMARKS)

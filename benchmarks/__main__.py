@@ -21,7 +21,19 @@ from benchmarks.lines import Line
 from rrm.hardware import cpu_model
 
 #: In the order of the table; everything runs on one core unless its module says otherwise.
-BENCHMARKS = ("sac_update", "drqv2_update", "reward_learning", "training_loop", "bootstrap", "commands", "sweep")
+BENCHMARKS = (
+    "sac_update",
+    "drqv2_update",
+    "reward_learning",
+    "training_loop",
+    "images",
+    "bootstrap",
+    "perception",
+    "commands",
+    "labelling",
+    "sweep",
+    "cluster",
+)
 
 
 def table(lines: Sequence[Line]) -> Table:

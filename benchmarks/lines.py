@@ -7,7 +7,9 @@ or throttled machine slows both alike; the figure is the median over the turns.
 from __future__ import annotations
 
 import os
+import re
 import statistics
+import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator, Mapping
@@ -18,16 +20,16 @@ from pathlib import Path
 
 @dataclass(frozen=True, kw_only=True)
 class Line:
-    """One line. A quantity is a rate (more is better) unless its unit is one of time or memory."""
+    """One line. A quantity is a rate (more is better) unless its unit is one of time, memory or error."""
 
     item: str
     ours: float
-    unit: str  #: "/s" and "x" want more; "s", "ms", "MiB" and "%" want less
+    unit: str  #: "/s" and "x" want more; "s", "ms", "MiB", "%", "mm" and "deg" want less
     peers: Mapping[str, float] = field(default_factory=dict)  #: figures of the others by name, in the same unit
     floor: float | None = None  #: what the machine's arithmetic alone would allow, in the same unit
     least_ratio: float | None = None  #: of ours to the best peer's
     least_share: float | None = None  #: of the floor
-    bound: float | None = None  #: of ours itself: at least for rates, at most for times and memory
+    bound: float | None = None  #: of ours itself: at least for rates, at most for times, memory and errors
     note: str = ""
 
     @property
@@ -120,3 +122,17 @@ def in_turns(*works: Callable[[], object], turns: int = 9, budget: float = 0.3) 
         seconds(work, budget)
     rounds = [[seconds(work, budget) for work in works] for _ in range(turns)]
     return [statistics.median(column) for column in zip(*rounds, strict=True)]
+
+
+def apart(module: str, *arguments: object) -> list[float]:
+    """Figures measured in a process of its own: what that module of this folder prints when it is run so."""
+    command = [sys.executable, "-m", module, *map(str, arguments)]
+    return [float(word) for word in subprocess.run(command, check=True, stdout=subprocess.PIPE).stdout.split()]
+
+
+def peak_mib() -> float:
+    """Largest resident size of this process so far, where the system (Linux) tells it. `getrusage` begins with that of
+    whoever started the process.
+    """
+    told = re.search(r"^VmHWM:\s*(\d+) kB$", Path("/proc/self/status").read_text(), re.MULTILINE)
+    return int(told[1]) / 1024 if told else float("nan")

@@ -12,9 +12,7 @@ products.
 from __future__ import annotations
 
 import gc
-import resource
 import statistics
-import subprocess
 import sys
 import tempfile
 import time
@@ -24,12 +22,14 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from benchmarks.lines import Line, in_turns
+from benchmarks.lines import Line, apart, in_turns, peak_mib
+from rrm.buffers.experience import Experience
 from rrm.checkpoint import Checkpoints
 from rrm.config import RewardConfig
 from rrm.nets.precision import multiplies
 from rrm.nets.products import choice, using
 from rrm.precision import Precision
+from rrm.queries import uniform_pairs
 from rrm.sources.preferences import PreferenceReward
 from rrm.training.loop import Trainer
 from rrm.training.run_config import RunConfig
@@ -44,6 +44,7 @@ REAL_STEPS = 5_000
 CHECKPOINT_S = 120.0  # the default interval
 _MEMORY_STEPS = 1_000_000
 _LAPTOP_STEPS = 2_500  # from one session to the next
+_HERE = "benchmarks.training_loop"
 
 
 def lines() -> Iterator[Line]:
@@ -53,14 +54,14 @@ def lines() -> Iterator[Line]:
         yield from _loop(precision)
     for method in ("oracle", "rrm-proxy"):
         yield _laptop(method)
-    yield Line(item=f"resident memory, {_MEMORY_STEPS:,} steps", ours=_apart("memory"), unit="MiB", bound=1024)
+    yield Line(item=f"resident memory, {_MEMORY_STEPS:,} steps", ours=apart(_HERE, "memory")[0], unit="MiB", bound=1024)
     starts = [_timed_start() for _ in range(3)]
     yield Line(item="worker, start to first step", ours=statistics.median(starts), unit="s", bound=5)
 
 
 def _loop(precision: Precision) -> Iterator[Line]:
-    trainer = mid_run(STEPS, STEPS // 2, precision)
-    session_s = _session_seconds(trainer)
+    trainer = mid_run(paper_run(STEPS, precision), STEPS // 2, LABELS)
+    session_s = session_seconds(trainer)
     batch = _preferences(trainer).batch(trainer.agent)
     step_s, update_s = in_turns(trainer.advance, lambda: trainer.agent.update(batch), turns=7, budget=1.0)
     act = np.zeros(4, np.float32)
@@ -78,7 +79,7 @@ def _loop(precision: Precision) -> Iterator[Line]:
         ours=100 * (simulate_s + append_s + sample_s) / whole_s, bound=5 if precision == "float32" else None,
     )  # fmt: skip
     if precision == "float32":
-        checkpoint_s = _checkpoint_seconds(trainer, steps=int(CHECKPOINT_S / whole_s))
+        checkpoint_s = checkpoint_seconds(trainer, steps=int(CHECKPOINT_S / whole_s))
         yield Line(
             item="checkpoint, of training time", ours=100 * checkpoint_s / CHECKPOINT_S, unit="%", bound=1,
             note=f"{1e3 * checkpoint_s:.0f} ms every {CHECKPOINT_S:.0f} s",
@@ -88,9 +89,7 @@ def _loop(precision: Precision) -> Iterator[Line]:
 
 def _laptop(method: str) -> Line:
     """Steps a second of a shipped run, sessions among them."""
-    manifest = load(SHIPPED / "main-results.toml")
-    (config,) = make_plan(manifest, profile="laptop", seeds=1, tasks=[TASK], methods=[method]).configs.values()
-    assert isinstance(config, RunConfig)
+    config = shipped(method)
     loops = [_LaptopLoop(config, chosen) for chosen in (choice(), {OTHERWISE: "torch"})]
     ours_s, torch_s = in_turns(*loops, turns=3, budget=0)
     for loop in loops:
@@ -115,50 +114,71 @@ class _LaptopLoop:
                 self.trainer.advance()
 
 
-def mid_run(steps: int, transitions: int, precision: Precision, folder: Path | None = None) -> Trainer:
-    """A trainer of `steps` steps, `transitions` of them lived (and saved in the folder now and then, as a run does),
-    right before a feedback session.
+def paper_run(steps: int, precision: Precision = "float32") -> RunConfig:
+    """PEBBLE on a prior with the paper's settings, so long."""
+    return RunConfig(task=TASK, seed=0, steps=steps, precision=precision, reward=RewardConfig(prior="proxy"))
+
+
+def shipped(method: str, task: str = TASK, profile: str = "laptop") -> RunConfig:
+    """A run of `main-results`."""
+    manifest = load(SHIPPED / "main-results.toml")
+    (config,) = make_plan(manifest, profile=profile, seeds=1, tasks=[task], methods=[method]).configs.values()
+    assert isinstance(config, RunConfig)
+    return config
+
+
+def mid_run(
+    config: RunConfig, transitions: int, labels: int = 0, *, real: int = REAL_STEPS, folder: Path | None = None
+) -> Trainer:
+    """A trainer with so many transitions and labels, right before a feedback session.
+
+    Args: real: transitions that are lived; they are repeated. folder: where they are saved now and then, as in a run.
     """
-    config = RunConfig(task=TASK, seed=0, steps=steps, precision=precision, reward=RewardConfig(prior="proxy"))
-    trainer = Trainer(config)
-    for _ in range(min(REAL_STEPS, config.first_session)):
+    trainer, repeat = Trainer(config), config.action_repeat
+    begin = config.first_session if config.feedback else config.random_steps
+    for _ in range(min(real, begin // repeat)):
         trainer.advance()
-    real = trainer.experience
-    count = real.transitions
-    for step in range(count, transitions):
-        row = int(real._row_of[step % count])
-        again = Transition(
-            obs=real.obs[row].numpy(), act=real.act[row].numpy(), prior=float(real.prior[row]), raw_prior=0.0,
-            true_reward=float(real.true_reward[row]), next_obs=real.obs[row + 1].numpy(),
-            terminated=False, truncated=step % 500 == 499,
-        )  # fmt: skip
-        real.append(again, 0.0)
-        if folder is not None and step % EVERY == 0:
-            real.save(folder)
-    while _preferences(trainer).queries < LABELS:
-        _label_only(trainer, 500)
-    trainer.step = config.first_session + EVERY * (transitions // EVERY)
+    lived, length = trainer.experience, config.episode_steps // repeat
+    again = [_stored(lived, number) for number in range(lived.transitions)]
+    for number in range(len(again), transitions):
+        ends = number % length == length - 1
+        lived.append(again[number % len(again)]._replace(truncated=ends), 0.0)
+        if folder is not None and number % EVERY == 0:
+            lived.save(folder)
+    while labels and _preferences(trainer).queries < labels:
+        _label_only(trainer, min(500, labels))
+    every = config.feedback.every if config.feedback else repeat
+    trainer.step = begin + every * (transitions * repeat // every)
     return trainer
+
+
+def _stored(lived: Experience, number: int) -> Transition:
+    """A transition as it was appended."""
+    row, pictures = int(lived._row_of[number]), lived.batch(torch.tensor([number])).frames
+    obs, act, next_obs = lived.obs[row].numpy(), lived.act[row].numpy(), lived.obs[row + 1].numpy()
+    prior, true = float(lived.prior[row]), float(lived.true_reward[row])
+    seen = (None, None) if pictures is None else (pictures[0, :-1].numpy(), pictures[0, 1:].numpy())
+    return Transition(obs, act, next_obs, prior, 0.0, true, False, False, *seen)
 
 
 def _label_only(trainer: Trainer, count: int) -> None:
     """Labels without the training that goes with them."""
-    from rrm.queries import uniform_pairs
-
     source, experience = _preferences(trainer), trainer.experience
     assert trainer.config.feedback is not None
-    length = trainer.config.feedback.segment
+    length = trainer.config.feedback.segment // trainer.config.action_repeat
     pairs = uniform_pairs(experience.episodes, length, count, np.random.default_rng(source.queries))
     source.teacher.ask(source.journal.ask(experience, pairs, length, 0))
     assert source.waiting() is None
     source.preferences.add(*source.journal.apply(0))
 
 
-def _session_seconds(trainer: Trainer) -> float:
+def session_seconds(trainer: Trainer) -> float:
     """The third of three sessions: the reward has learned the older labels by then, as it has in a run."""
+    assert trainer.config.feedback is not None
+    every = trainer.config.feedback.every
     for number in range(3):
         start = time.process_time()
-        _hold(trainer, trainer.step + number * EVERY)
+        hold(trainer, trainer.step + number * every)
         seconds = time.process_time() - start
     return seconds
 
@@ -169,7 +189,7 @@ def _preferences(trainer: Trainer) -> PreferenceReward:
     return source
 
 
-def _hold(trainer: Trainer, step: int) -> None:
+def hold(trainer: Trainer, step: int) -> None:
     """The session that is due before this step."""
     source = _preferences(trainer)
     source.ask(step)
@@ -183,7 +203,9 @@ def _simulate(trainer: Trainer, act: np.ndarray) -> None:
 
 
 def _append(trainer: Trainer, act: np.ndarray) -> None:
-    trainer.experience.append(Transition(trainer._obs.state, act, trainer._obs.state, 0.0, 0.0, 0.0, False, False), 0.0)
+    obs = trainer._obs
+    step = Transition(obs.state, act, obs.state, 0.0, 0.0, 0.0, False, False, obs.frames, obs.frames)
+    trainer.experience.append(step, 0.0)
 
 
 def _median_of(work: Callable[[], object], calls: int) -> float:
@@ -195,7 +217,7 @@ def _median_of(work: Callable[[], object], calls: int) -> float:
     return statistics.median(times)
 
 
-def _checkpoint_seconds(trainer: Trainer, steps: int) -> float:
+def checkpoint_seconds(trainer: Trainer, steps: int) -> float:
     """A checkpoint after as many steps as the interval holds, with a relabelling among them."""
     with tempfile.TemporaryDirectory() as name:
         checkpoints = Checkpoints(Path(name))
@@ -203,7 +225,7 @@ def _checkpoint_seconds(trainer: Trainer, steps: int) -> float:
         seconds = []
         for _ in range(3):
             for _ in range(steps):
-                _append(trainer, np.zeros(4, np.float32))
+                _append(trainer, np.zeros(trainer.config.spaces.act, np.float32))
             _preferences(trainer).relabel()
             trainer.step += steps
             start = time.perf_counter()
@@ -212,17 +234,9 @@ def _checkpoint_seconds(trainer: Trainer, steps: int) -> float:
     return statistics.median(seconds)
 
 
-def _apart(what: str) -> float:
-    """A figure measured in a process of its own."""
-    found = subprocess.run(
-        [sys.executable, "-m", "benchmarks.training_loop", what], check=True, capture_output=True, text=True
-    )
-    return float(found.stdout)
-
-
 def _timed_start() -> float:
     start = time.perf_counter()
-    _apart("start")
+    apart(_HERE, "start")
     return time.perf_counter() - start
 
 
@@ -230,9 +244,9 @@ def _memory() -> float:
     """Largest resident size in MiB of a run near its end: stored, learned from, saved, and restored by a successor."""
     with tempfile.TemporaryDirectory() as name:
         checkpoints = Checkpoints(Path(name))
-        trainer = mid_run(_MEMORY_STEPS, _MEMORY_STEPS - 10_000, "float32", checkpoints.folder)
+        trainer = mid_run(paper_run(_MEMORY_STEPS), _MEMORY_STEPS - 10_000, LABELS, folder=checkpoints.folder)
         trainer.advance()
-        _hold(trainer, trainer.step + EVERY - trainer.step % EVERY)
+        hold(trainer, trainer.step + EVERY - trainer.step % EVERY)
         checkpoints.save(trainer.step, trainer.save(checkpoints.folder))
         config = trainer.config
         trainer.close()
@@ -242,7 +256,7 @@ def _memory() -> float:
         checkpoints.load(lambda state: successor.load(checkpoints.folder, state))
         successor.advance()
         successor.close()
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    return peak_mib()
 
 
 def _start() -> float:

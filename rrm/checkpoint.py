@@ -26,7 +26,6 @@ from rrm.types import State
 #: Of the layout written here; another version is refused with its number.
 FORMAT = 3
 KEPT = 2  #: newest checkpoints that stay
-_TREE = "tree"  # entry of the header
 _LARGEST_MARKER = 1 << 16  # bytes
 #: What comes of a marker that says something else.
 _ODD = (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError)
@@ -37,7 +36,7 @@ _BLOCK = 1 << 22  # bytes of a log in memory while it is read back
 def encode(state: State) -> bytes:
     """The state as one safetensors file; a leaf that is neither tensor, array nor JSON value is a `TypeError`."""
     arrays: _Arrays = {}
-    return tensors.pack(arrays, _TREE, _split(state, "state", arrays))
+    return tensors.pack(arrays, tensors.TREE, _split(state, "state", arrays))
 
 
 def check_finite(state: State) -> None:
@@ -53,7 +52,7 @@ def check_finite(state: State) -> None:
 def decode(data: bytes) -> State:
     """The state that `encode` was given, tensors on the CPU; a `CheckpointError` where the bytes are none."""
     try:
-        arrays, tree = tensors.unpack(data, _TREE)
+        arrays, tree = tensors.unpack(data, tensors.TREE)
         return _join(tree, arrays)  # type: ignore[no-any-return]
     except (ValueError, KeyError) as error:
         raise CheckpointError(f"not a saved state: {error}") from error
@@ -73,8 +72,9 @@ def read_networks(path: Path, what: str) -> State:
 
 
 def again(path: Path) -> str:
-    """What to do where a file that a finished run left behind is of no use, in words."""
-    return f"bring it back, or remove {path.parent} and run the experiment again with --retry-failed"
+    """What to do where a file that a run left behind is of no use, in words."""
+    run = path.parents[path.stem.isdecimal()]  # networks of a step have a folder of their own in the run's
+    return f"bring it back, or remove {run} and run the experiment again with --retry-failed"
 
 
 def _split(node: Any, path: str, arrays: _Arrays) -> Any:

@@ -7,9 +7,10 @@ torch or a simulator. `rrm.training.run_config` puts the sections together.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, TypeVar
 
-from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Discriminator, Field, Tag
+from pydantic_core import PydanticCustomError
 
 from rrm.errors import ConfigError
 
@@ -195,6 +196,46 @@ class CameraConfig(ConfigSection):
     quality: Literal["fast", "full"] = "fast"  #: without shadows, reflections and smooth edges, or with them
 
 
+def _ends(value: Any) -> Any:
+    """A number stands for the range that begins and ends there."""
+    if isinstance(value, int | float):
+        return value, value
+    if isinstance(value, list | tuple) and len(value) == 2:
+        return value
+    raise PydanticCustomError("range", "One number, or a range [lowest, highest]")
+
+
+def _ordered(ends: tuple[Any, Any]) -> tuple[Any, Any]:
+    if ends[0] > ends[1]:
+        raise PydanticCustomError("range", "A range goes from its lower to its upper end")
+    return ends
+
+
+_Number = TypeVar("_Number")
+#: From where to where a quantity is drawn, both ends included; one number stands for both.
+Range = Annotated[tuple[_Number, _Number], Field(strict=False), BeforeValidator(_ends), AfterValidator(_ordered)]
+
+
+class EnvConfig(ConfigSection):
+    """Domain randomisation: what of a simulation is drawn anew at every reset, uniformly from a range, of tasks that
+    have it. None is as the task has it.
+    """
+
+    cube_size: Range[Annotated[float, Field(ge=0.03, le=0.06)]] | None = None  #: side, metres
+    cube_mass: Range[Annotated[float, Field(ge=0.01, le=1.0)]] | None = None  #: kilograms
+    friction: Range[Annotated[float, Field(ge=0.1, le=1.5)]] | None = None  #: of the cube on table and fingers
+    latency: Range[Annotated[int, Field(ge=0, le=10)]] | None = (
+        None  #: commands between one that is given and its effect
+    )
+    noise: Range[Annotated[float, Field(ge=0.0, le=0.02)]] | None = (
+        None  #: standard deviation of the cube's observed position, metres
+    )
+
+    def ranges(self) -> dict[str, tuple[float, float]]:
+        """What is drawn, and from where to where."""
+        return {name: ends for name, ends in self if ends is not None}
+
+
 class LearnerSettings(ConfigSection):
     """What a learner of ours is told beyond `RewardConfig`, and what planning must know of it without making it.
 
@@ -354,8 +395,13 @@ class FeedbackConfig(ConfigSection):
 
 
 class TeacherConfig(ConfigSection):
-    """The scripted teacher of B-Pref (appendix "Noisy teacher models")."""
+    """Who answers: the scripted teacher of B-Pref (appendix "Noisy teacher models"), people, or what they said once."""
 
+    kind: Literal["scripted", "human", "replay"] = "scripted"
+    study: str = ""  #: of people: under another name they are asked anew; where it is empty, planning fills in the
+    #: experiment's
+    labels: str | None = None  #: the file of answers that `replay` takes: those to the run of `study`
+    labels_digest: str | None = None  #: of what is said there; filled in by planning
     beta: Positive | None = None  #: rationality; None is without doubt
     gamma: Annotated[float, Field(gt=0, le=1)] = 1.0  #: below 1 the last steps of a segment weigh most
     mistake: Fraction = 0.0  #: probability of a flipped label

@@ -40,6 +40,10 @@ class DemosError(RrmError):
     """Demonstrations that cannot be used: another file, another task, or an expert that fails."""
 
 
+class LabelError(RrmError):
+    """Queries or answers of people that cannot be used: no such file, a damaged one, or those of another run."""
+
+
 class MissingResultError(RrmError):
     """What an earlier run should have left behind is not there."""
 
@@ -50,6 +54,22 @@ class CheckpointError(RrmError):
 
 class RenderingError(RrmError):
     """No OpenGL to draw pictures with; the message says what is missing and what to install."""
+
+
+class CalibrationError(RrmError):
+    """Cameras that cannot be calibrated from what is there, or a calibration that is not of these cameras."""
+
+
+class PerceptionError(RrmError):
+    """What a robot acts on is out of its cameras' sight."""
+
+
+class RobotError(RrmError):
+    """A robot, or what simulates one, that does not answer any more."""
+
+
+class EpisodesError(RrmError):
+    """A record of deployed episodes that cannot be gone on with: a damaged one, or one of something else."""
 
 
 class NumericalError(RrmError):

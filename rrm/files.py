@@ -55,8 +55,7 @@ def write_atomically(path: Path, data: bytes) -> None:
 
 def replace(path: Path, data: bytes, *, durably: bool = False) -> None:
     """Replace `path` by `data` as a whole for every reader; only `durably` does it survive the machine's crash."""
-    # Processes of two machines or containers can have one number, and threads of one process do.
-    temporary = path.parent / f".{path.name}.{os.getpid()}.{secrets.token_hex(4)}.tmp"
+    temporary = _beside(path)
     with naming(path):
         try:
             with temporary.open("xb") as file:
@@ -72,6 +71,35 @@ def replace(path: Path, data: bytes, *, durably: bool = False) -> None:
             sync_folder(path.parent)
 
 
+def create(path: Path, data: bytes) -> bool:
+    """Make `path`, with `data` from its first moment on; False where it is there. Of many who try at once, on whatever
+    machine, one does: no lock is needed for that. An `OSError` names `path`.
+    """
+    temporary = _beside(path)
+    with naming(path):
+        try:
+            temporary.write_bytes(data)
+            os.link(temporary, path)
+        except FileExistsError:
+            return temporary.samefile(path)  # NFS may repeat a call whose answer was lost
+        except OSError as error:
+            if error.errno not in (errno.EPERM, errno.ENOTSUP, errno.ENOSYS):
+                raise
+            with contextlib.suppress(FileExistsError), path.open("xb") as file:  # no links here, as on FAT
+                return bool(file.write(data))
+            return False
+        finally:
+            temporary.unlink(missing_ok=True)
+        return True
+
+
+def _beside(path: Path) -> Path:
+    """A temporary file of this writer alone: processes of two machines or containers can have one number, and threads
+    of one process do.
+    """
+    return path.parent / f".{path.name}.{os.getpid()}.{secrets.token_hex(4)}.tmp"
+
+
 @contextlib.contextmanager
 def naming(path: Path) -> Iterator[None]:
     """An `OSError` from inside says which file it is about; the system leaves that out when a write fails."""
@@ -80,6 +108,14 @@ def naming(path: Path) -> Iterator[None]:
     except OSError as error:
         error.filename = str(path)
         raise
+
+
+def refresh(folder: Path) -> None:
+    """Where another machine may have made something in the folder: NFS may hold for half a minute that a name which
+    was looked for before is not there, unless the folder is listed.
+    """
+    with contextlib.suppress(OSError):
+        list(folder.iterdir())
 
 
 def make_folder(folder: Path) -> None:

@@ -35,6 +35,15 @@ class Pages(NamedTuple):
     replaced: float | None = None  #: when, seconds since the epoch; None for the version that the footer describes
 
 
+def read_table(file: bytes) -> pa.Table:
+    """The table in a parquet file. What `pyarrow` raises, or an `OSError` or `ValueError`, where it is damaged."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    # A thread of Arrow's that is still at work when the process ends aborts it.
+    return pq.ParquetFile(pa.BufferReader(file), page_checksum_verification=True).read(use_threads=False)
+
+
 def write_table(path: Path, table: pa.Table, **settings: Any) -> None:
     """Replace `path` by the table, durably; who is reading it by its path meanwhile gets what it held, or the table.
 
@@ -105,7 +114,7 @@ def _encoded_at(start: int, table: pa.Table, kept: list[Pages], settings: dict[s
     import pyarrow.parquet as pq
 
     sink = pa.BufferOutputStream()
-    with pq.ParquetWriter(sink, table.schema, **settings) as writer:
+    with pq.ParquetWriter(sink, table.schema, write_page_checksum=True, **settings) as writer:
         sink.write(bytes(start - sink.tell()))  # the writer notes down where in the stream its pages come to lie
         writer.write_table(table)
         end = sink.tell()

@@ -6,7 +6,8 @@ from typing import Annotated, Literal
 
 from pydantic import ValidationInfo, ValidatorFunctionWrapHandler, WrapValidator
 
-from rrm.tuning import machine
+from rrm.config import AgentConfig, DrqConfig
+from rrm.tuning import machine, pays
 
 Precision = Literal["float32", "bfloat16"]
 
@@ -15,13 +16,17 @@ def _meant(value: object, handler: ValidatorFunctionWrapHandler, info: Validatio
     if value != "auto":
         return handler(value)
     agent = (info.data or {}).get("agent")  # missing where it is wrong, which is said then, or in a setting by itself
-    return value if agent is None else native_precision(agent.batch, agent.hidden)
+    return value if agent is None else native_precision(agent)
 
 
 #: A setting that may also be "auto"; what is stored is what that meant on the machine that planned the run.
 PrecisionSetting = Annotated[Precision, WrapValidator(_meant)]
 
 
-def native_precision(batch: int, hidden: int) -> Precision:
-    """bfloat16 where products of such layers in it were measured to be so much quicker on this machine that it pays."""
-    return "bfloat16" if machine().rounding_pays((batch, hidden, hidden)) else "float32"
+def native_precision(agent: AgentConfig) -> Precision:
+    """bfloat16 where what most of such an agent's time goes into, layers of its sizes or, of one that sees frames,
+    convolutions of its channels, was measured to be so much quicker in it on this machine that it pays.
+    """
+    here, layer = machine(), (agent.batch, agent.hidden, agent.hidden)
+    rates = here.seeing(agent.channels) if isinstance(agent, DrqConfig) else here.layer(layer)
+    return "bfloat16" if pays(*rates) else "float32"

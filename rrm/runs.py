@@ -13,12 +13,13 @@ import numpy as np
 import torch
 
 from rrm.checkpoint import read_networks
-from rrm.config import EvaluationConfig
+from rrm.config import DrqConfig, EvaluationConfig
 from rrm.envs.base import TaskEnv
 from rrm.envs.observer import Observer
 from rrm.errors import ConfigError
 from rrm.files import make_folder, place, read_bounded, write_atomically
-from rrm.interfaces import Agent, RewardFunction
+from rrm.interfaces import Agent, FrameEncoder, RewardFunction
+from rrm.nets.encoder import Encoder
 from rrm.priors.values import PriorSource
 from rrm.seeding import Streams
 from rrm.training.build import build_agent, build_prior, build_reward
@@ -26,7 +27,7 @@ from rrm.training.episodes import evaluate
 from rrm.training.jobs import Monitor
 from rrm.training.jobs import train as train_job
 from rrm.training.run_config import RunConfig
-from rrm.types import EvalRow, Evaluation, Floats, Obs, State
+from rrm.types import EvalRow, Evaluation, Floats, Obs, Pixels, State
 
 _LARGEST_CONFIG = 1_000_000  # bytes
 
@@ -94,16 +95,21 @@ class Finished:
         agent.load_state_dict(self._networks["agent"])
         return agent
 
-    def policy(self, obs: Floats) -> Floats:
-        """The deterministic action, float32 [A] in [-1, 1], for an observation float32 [O]."""
+    def policy(self, obs: Floats | Pixels) -> Floats:
+        """The deterministic action, float32 [A] in [-1, 1], for an observation float32 [O], or for what an agent that
+        sees frames is shown, uint8 [stack, channels, height, width].
+        """
+        if self.config.sees_frames:
+            return self.agent.act(Obs(np.zeros(0, np.float32), np.asarray(obs, np.uint8)), explore=False)
         return self.agent.act(Obs(np.asarray(obs, np.float32)), explore=False)
 
     def evaluate(self, episodes: int = 10, seed: int = 0) -> Evaluation:
-        """Play episodes of the run's task, whose instances follow from the seed."""
+        """Play episodes of the run's task, whose instances follow from the seed; success counts as in the run."""
         config = self.config
-        env = Observer(config.task, config.horizon, config.spaces.frames, config.action_repeat)
+        counted = EvaluationConfig(episodes=episodes, success=config.evaluation.success)
+        env = Observer(config.task, config.horizon, config.spaces.frames, config.action_repeat, config.env.ranges())
         try:
-            return evaluate(self.agent, env, EvaluationConfig(episodes=episodes), seed=seed, step=0)
+            return evaluate(self.agent, env, counted, seed=seed, step=0)
         finally:
             env.close()
 
@@ -117,6 +123,16 @@ class Finished:
         return reward
 
     @cached_property
+    def encoder(self) -> FrameEncoder | None:
+        """What makes the features of frames that the learned reward sees; None where it is shown states."""
+        agent, frames = self.config.agent, self.config.spaces.frames
+        if not isinstance(agent, DrqConfig) or frames is None:
+            return None
+        encoder = Encoder(agent, frames, None, self.config.precision)
+        encoder.flat.copy_(self._networks["sight"]["encoder"])
+        return encoder
+
+    @cached_property
     def prior(self) -> PriorSource | None:
         """The prior under the learned reward, at the scale it had at the end; None where there is none."""
         results = {run: self._folder.parent / run for run in self.config.requires}
@@ -126,33 +142,42 @@ class Finished:
         return prior
 
 
-class LearnedReward(gymnasium.Wrapper[Floats, Floats, Floats, Floats]):
+class LearnedReward(gymnasium.Wrapper[Any, Floats, Floats, Floats]):
     """An environment of the run's task that pays what the run has learned, for anybody's training loop.
 
-    `info["true_reward"]` is the environment's own.
+    It shows what the run's agent saw: the state [O], or the newest frames, uint8 [stack, channels, height, width]; an
+    action lasts as many steps. `info["true_reward"]` is the environment's own.
     """
 
     def __init__(self, env: TaskEnv, run: Finished) -> None:
         super().__init__(env)
-        self._reward, self._prior = run.reward, run.prior
-        self._obs: Floats = np.zeros(0, np.float32)
+        space = run.config.spaces.frames
+        if space is not None:
+            self.observation_space = gymnasium.spaces.Box(0, 255, (space.stack, *space.planar), np.uint8)
+        self._reward, self._prior, self._encoder = run.reward, run.prior, run.encoder
+        self._observer = Observer(env, frames=space, repeat=run.config.action_repeat)
+        self._obs = Obs(np.zeros(0, np.float32))
 
-    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Floats, dict[str, Any]]:
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:  # noqa: ARG002 (gymnasium's)
         """Start an episode."""
-        self._obs, info = self.env.reset(seed=seed, options=options)
+        self._obs = self._observer.reset(seed)
         if self._prior is not None:
-            self._prior.begin_episode(self._obs)
-        return self._obs, info
+            self._prior.begin_episode(self._obs.state)
+        return _shown(self._obs), {}
 
-    def step(self, action: Floats) -> tuple[Floats, float, bool, bool, dict[str, Any]]:
-        """One step, with the learned reward of the state before it."""
-        act = np.asarray(action, np.float32)
-        obs, true_reward, terminated, truncated, info = self.env.step(act)
-        prior = 0.0 if self._prior is None else self._prior.look(self._obs, act, info)
-        one = torch.from_numpy(self._obs)[None], torch.from_numpy(act)[None], torch.tensor([prior])
-        reward = float(self._reward.predict(*one))
-        self._obs = obs
-        return obs, reward, terminated, truncated, info | {"true_reward": float(true_reward)}
+    def step(self, action: Floats) -> tuple[Any, float, bool, bool, dict[str, Any]]:
+        """One action, with the learned reward of the state before it."""
+        act, before = np.asarray(action, np.float32), self._obs
+        self._obs, true_reward, terminated, truncated, info = self._observer.step(act)
+        prior = 0.0 if self._prior is None else self._prior.look(before, act, info)
+        seen = torch.from_numpy(_shown(before))[None]
+        seen = seen if self._encoder is None else self._encoder.encode(seen)
+        reward = float(self._reward.predict(seen, torch.from_numpy(act)[None], torch.tensor([prior])))
+        return _shown(self._obs), reward, terminated, truncated, info | {"true_reward": float(true_reward)}
+
+
+def _shown(obs: Obs) -> Any:
+    return obs.state if obs.frames is None else obs.frames
 
 
 class _Listener(Monitor):

@@ -17,6 +17,7 @@ import safetensors.numpy
 
 Arrays = Mapping[str, np.ndarray[Any, Any]]
 
+TREE = "tree"  #: the entry of files that hold a state, see `rrm.checkpoint.encode`
 _CHECKSUM = "$crc32"  #: key of the checksum in the object
 
 

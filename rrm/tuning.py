@@ -52,6 +52,12 @@ EXACT = ("torch", "onednn", "numpy", "mkl-avx512", "mkl-avx2")
 #: The way that rounds its factors to bfloat16.
 ROUNDED = "bfloat16"
 
+#: Convolutions of agents that see frames, forward and back in one, in either precision.
+SEEING = {"float32": "convolutions", "bfloat16": "convolutions-bfloat16"}
+
+#: What is measured of them, by channels: those of the laptop profile's agents and of the paper's.
+CONVOLUTIONS = (16, 32)
+
 #: The key of the way that all products go whose own is not named.
 OTHERWISE = "otherwise"
 
@@ -78,6 +84,18 @@ _FAULTS = (signal.SIGSEGV, signal.SIGBUS, signal.SIGILL, signal.SIGFPE, signal.S
 def cell(form: Form, shape: Shape) -> str:
     """The name of a measured product, such as `weights 512x256x256`."""
     return f"{form} {'x'.join(map(str, shape))}"
+
+
+def cells(way: str) -> set[str]:
+    """The names of all that is measured of a way; of convolutions that is how many channels they have."""
+    if way in SEEING.values():
+        return set(map(str, CONVOLUTIONS))
+    return {cell(form, shape) for form in FORMS for shape in SHAPES}
+
+
+def pays(exact: float, rounded: float) -> bool:
+    """Whether a rate in bfloat16 is so much greater than the exact one that it is worth it."""
+    return rounded > _PAYS * exact
 
 
 def in_words(choice: Choice) -> str:
@@ -133,11 +151,6 @@ class Machine:
         way = max(self._exact, key=lambda way: self.rates[way][cell])
         return way, self.rates[way][cell]
 
-    def rounding_pays(self, shape: Shape) -> bool:
-        """Whether products of a layer in bfloat16 are so much quicker than exact ones that they are worth it."""
-        exact, rounded = self.layer(shape)
-        return rounded >= _PAYS * exact
-
     def layer(self, shape: Shape) -> tuple[float, float]:
         """Rates of a layer's three products together: exact, each in its best way, and rounded (0 where refused)."""
         cells = [cell(form, nearest(shape)) for form in FORMS]
@@ -145,9 +158,15 @@ class Machine:
         exact = geometric_mean(self.best(name)[1] for name in cells)
         return exact, geometric_mean(rounded[name] for name in cells) if rounded else 0.0
 
+    def seeing(self, channels: int) -> tuple[float, float]:
+        """Rates of convolutions, forward and back, of about so many channels: likewise."""
+        measured = str(min(CONVOLUTIONS, key=lambda other: abs(math.log(channels / other))))
+        exact, rounded = (self.rates.get(way, {}).get(measured, 0.0) for way in SEEING.values())
+        return exact, rounded
+
     @property
     def _exact(self) -> dict[str, Mapping[str, float]]:
-        return {way: rates for way, rates in self.rates.items() if way != ROUNDED}
+        return {way: rates for way, rates in self.rates.items() if way in EXACT}
 
 
 @cache
@@ -173,7 +192,7 @@ def measure() -> Machine:
     """
     rates: dict[str, dict[str, float]] = {}
     refused: dict[str, str] = {}
-    rest = [*EXACT, ROUNDED]
+    rest = [*EXACT, ROUNDED, *SEEING.values()]
     while rest:
         done = subprocess.run(
             [*TRIAL, *rest], capture_output=True, text=True, env=environment() | _ONE_THREAD, check=False
@@ -196,7 +215,8 @@ def kept_in(environ: Mapping[str, str] = os.environ) -> Path:
     """The file where the measurements of this processor and these libraries are kept, or would be."""
     here = Path(__file__).parent
     sources = [
-        (here / name).read_bytes() for name in ("tuning.py", "nets/compiled.py", "nets/trial.py", "nets/ways.py")
+        (here / name).read_bytes()
+        for name in ("tuning.py", "nets/compiled.py", "nets/encoder.py", "nets/trial.py", "nets/ways.py")
     ]
     steering = sorted((n, value) for n, value in environ.items() if n.startswith(_STEERING) and n not in _ONE_THREAD)
     builds = [(version(name), _largest(name)) for name in ("torch", "numpy")]
@@ -231,9 +251,8 @@ def _read(path: Path) -> Machine | None:
         found = TypeAdapter(Machine).validate_json(files.read_bounded(path, 1 << 20))
     except (OSError, ValueError):
         return None
-    cells = {cell(form, shape) for form in FORMS for shape in SHAPES}
-    known = {EXACT[0]} <= found.rates.keys() <= {*EXACT, ROUNDED}
-    return found if known and all(rates.keys() == cells for rates in found.rates.values()) else None
+    known = {EXACT[0]} <= found.rates.keys() <= {*EXACT, ROUNDED, *SEEING.values()}
+    return found if known and all(rates.keys() == cells(way) for way, rates in found.rates.items()) else None
 
 
 @contextmanager

@@ -16,17 +16,22 @@ from pathlib import Path
 from typing import Literal
 
 from rrm.environ import run_python
+from rrm.envs.tasks import wheels
 from rrm.errors import RenderingError
 from rrm.hardware import cpu_model, extensions, usable_cores
 from rrm.rendering import INSTALL, renderer
-from rrm.tuning import OTHERWISE, ROUNDED, Machine, Shape, cell, in_words, kept_in, machine
+from rrm.tuning import CONVOLUTIONS, EXACT, OTHERWISE, ROUNDED, Machine, Shape, cell, in_words, kept_in, machine, pays
 from rrmctl.errors import UserError
 from rrmctl.planning.experiments import SHIPPED, available
+from rrmctl.store.mounts import Mount, mount_of
+from rrmctl.store.owner import LEASE_S, NETWORK_LEASE_S
 
 DISTRIBUTION = "rrmctl"
 
 #: Below this the final networks and checkpoints of a sweep may not fit.
 _DISK_NEEDED = 2 * 1024**3
+
+_ELSEWHERE = "choose a folder with --results DIR"
 
 #: Layers of the paper's networks and of a laptop's: batch, inputs, outputs.
 _LARGE, _SMALL = (512, 256, 256), (128, 128, 128)
@@ -90,11 +95,11 @@ def packages() -> Iterator[Check]:
         requirement = Requirement(text)
         extra = requirement.marker is not None and not requirement.marker.evaluate({"extra": ""})
         if not extra or requirement.name == "pybullet":  # the others are tools of developers
-            yield package(requirement.name, str(requirement.specifier), needed=not extra)
+            yield package(requirement.name, str(requirement.specifier), extra="robot" if extra else None)
 
 
-def package(name: str, specifier: str, *, needed: bool) -> Check:
-    """A package must be installed, at a version that `specifier` accepts; a note where nothing needs it."""
+def package(name: str, specifier: str, *, extra: str | None = None) -> Check:
+    """A package must be installed, at a version that `specifier` accepts; a note where an extra of ours brings it."""
     from packaging.specifiers import SpecifierSet
 
     try:
@@ -103,9 +108,10 @@ def package(name: str, specifier: str, *, needed: bool) -> Check:
             return Check(name, "ok", version)
         found = f"{version}, but {specifier} is needed"
     except metadata.PackageNotFoundError:
-        found = "not installed" if needed else "not installed; simulated robots alone need it"
-    fix = shlex.join([sys.executable, "-m", "pip", "install", f"{name}{specifier}"])
-    return Check(name, "missing" if needed else "note", found, fix)
+        found = "not installed" if extra is None else f"not installed; the tasks panda-* alone need it{wheels(name)}"
+    what = f"{name}{specifier}" if extra is None else f"{DISTRIBUTION}[{extra}]"
+    fix = shlex.join([sys.executable, "-m", "pip", "install", what])
+    return Check(name, "missing" if extra is None else "note", found, fix)
 
 
 def arithmetic(cpuinfo: Path = Path("/proc/cpuinfo")) -> Iterator[Check]:
@@ -120,7 +126,7 @@ def arithmetic(cpuinfo: Path = Path("/proc/cpuinfo")) -> Iterator[Check]:
     best, large = here.choice[OTHERWISE], cell("forward", _LARGE)
     quickest = f"{in_words(here.choice)}; {_rate(here.rates[best][large])} at {_sides(_LARGE)} forward"
     beside = "" if best == "torch" else f", torch by itself {_rate(here.rates['torch'][large])}"
-    refused = [f"; not {way}: {reason}" for way, reason in here.refused.items() if way != ROUNDED]
+    refused = [f"; not {way}: {reason}" for way, reason in here.refused.items() if way in EXACT]
     found, file = "".join([quickest, beside, *refused]), kept_in()
     if file.is_file():
         yield Check("products", "ok", found)
@@ -135,10 +141,11 @@ def _precision(here: Machine) -> Iterator[str]:
         yield f"float32; not {ROUNDED}: {here.refused[ROUNDED]}"
         return
     yield f"float32 or {ROUNDED}"
-    for shape in (_LARGE, _SMALL):
-        meant = ROUNDED if here.rounding_pays(shape) else "float32"
-        exact, rounded = here.layer(shape)
-        yield f'"auto" is {meant} at {_sides(shape)} ({ROUNDED} {_rate(rounded)}, float32 {_rate(exact)})'
+    measured = {f"at {_sides(shape)}": here.layer(shape) for shape in (_LARGE, _SMALL)}
+    measured |= {f"on images, {channels} channels": here.seeing(channels) for channels in reversed(CONVOLUTIONS)}
+    for what, (exact, rounded) in measured.items():
+        meant = ROUNDED if pays(exact, rounded) else "float32"
+        yield f'"auto" is {meant} {what} ({ROUNDED} {_rate(rounded)}, float32 {_rate(exact)})'
 
 
 def _vectors(flags: frozenset[str]) -> str:
@@ -165,7 +172,8 @@ def folders(results: Path, experiments: Path | None) -> Iterator[Check]:
             os.fsync(file.fileno())
         yield Check("results", "ok", f"{results} {'can be written' if results.exists() else 'can be made'}")
     except OSError as error:
-        yield Check("results", "missing", f"{results}: {error.strerror}", "choose a folder with --results DIR")
+        yield Check("results", "missing", f"{results}: {error.strerror}", _ELSEWHERE)
+    yield mounted(mount_of(results))
     free = shutil.disk_usage(there).free
     room = f"{free / 1024**3:.1f} GB free for {results}"
     yield _needed("disk", free >= _DISK_NEEDED, room, "free 2 GB, or choose another disk with --results DIR")
@@ -177,6 +185,22 @@ def folders(results: Path, experiments: Path | None) -> Iterator[Check]:
     shipped = sum(path.resolve().parent == SHIPPED for path in manifests)
     counts = f"{shipped} of rrmctl, {len(manifests) - shipped} of yours"
     yield _needed("experiments", shipped > 0, counts, "reinstall rrmctl: those that come with it are gone")
+
+
+def mounted(mount: Mount) -> Check:
+    """What the results folder is on, and what follows where several machines share it."""
+    if not mount.type:
+        return Check("mount", "ok", "this system does not tell what the results folder is on")
+    where = f"{mount.type} at {mount.point}"
+    if mount.passing:
+        gone = "container" if mount.type == "overlay" else "machine"
+        return Check("mount", "note", f"{where}: what is kept there goes with the {gone}", _ELSEWHERE)
+    lease = NETWORK_LEASE_S if mount.network else LEASE_S
+    where += f", {'shared' if mount.network else 'local'}: runs of an owner silent for {lease:g} s are taken over"
+    if not mount.unsure_locks:
+        return Check("mount", "ok", where)
+    found = f"{where}; {mount.unsure_locks}: locks may keep no other machine out. A run has one owner all the same"
+    return Check("mount", "note", found, "begin sweeps of one name, and clean, on one machine at a time")
 
 
 def rendering() -> Check:

@@ -9,9 +9,22 @@ from typing import NamedTuple
 #: What stands for teacher and feedback where nothing is asked; such runs belong to every panel of their task.
 NOTHING_ASKED = "-"
 ORACLE = "oracle"
+#: The teacher that is people.
+HUMAN = "human"
+_DEPLOYED = " deployed"
 
 _NUMBER = r"([1-9][0-9]{0,17})"
 _SCHEDULE = re.compile(rf"{_NUMBER}@{_NUMBER}/{_NUMBER}(?: (.+))?")
+
+
+def deployed(method: str) -> str:
+    """What the deployments of a method's policies are called."""
+    return f"{method}{_DEPLOYED}"
+
+
+def policy(method: str) -> str:
+    """The method whose policies are deployed under this name; another method's own."""
+    return method.removesuffix(_DEPLOYED)
 
 
 def knows(method: str) -> bool:

@@ -1,4 +1,4 @@
-"""What every agent refuses: numbers that are not finite, and states of agents of other sizes."""
+"""What every agent refuses, numbers that are not finite and states of agents of other sizes, and what it saves."""
 
 from __future__ import annotations
 
@@ -14,7 +14,8 @@ if TYPE_CHECKING:
 
     from torch import Tensor
 
-    from rrm.types import Floats
+    from rrm.nets.adam import FlatAdam
+    from rrm.types import Floats, State
 
 
 def finite_action(action: Floats, updates: int, seen: str) -> Floats:
@@ -34,12 +35,23 @@ def finite_figures(figures: dict[str, float], updates: int) -> dict[str, float]:
     return figures
 
 
-def restore(tensors: Mapping[str, Tensor], saved: Mapping[str, Tensor]) -> None:
-    """Copy what was saved into the tensors of the same names; a `CheckpointError` where a shape is another."""
+def saved(tensors: Mapping[str, Tensor], adams: Mapping[str, FlatAdam]) -> State:
+    """Copies of what an agent's updates change."""
+    return {
+        "tensors": {name: tensor.clone() for name, tensor in tensors.items()},
+        "optimisers": {name: adam.state_dict() for name, adam in adams.items()},
+    }
+
+
+def restore(tensors: Mapping[str, Tensor], adams: Mapping[str, FlatAdam], state: State) -> None:
+    """Continue from what was `saved`; a `CheckpointError` where a tensor of the same name has another shape."""
     for name, tensor in tensors.items():
-        if saved[name].shape != tensor.shape:
+        kept = state["tensors"][name]
+        if kept.shape != tensor.shape:
             raise CheckpointError(
-                f"the saved agent's {name} has shape {tuple(saved[name].shape)}, this agent's has "
+                f"the saved agent's {name} has shape {tuple(kept.shape)}, this agent's has "
                 f"{tuple(tensor.shape)}; load it with the configuration and task it was trained with"
             )
-        tensor.copy_(saved[name])
+        tensor.copy_(kept)
+    for name, adam in adams.items():
+        adam.load_state_dict(state["optimisers"][name])

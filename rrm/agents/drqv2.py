@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, ClassVar
 import torch
 from torch import Tensor
 
-from rrm.agents.checks import finite_action, finite_figures, restore
+from rrm.agents.checks import finite_action, finite_figures, restore, saved
 from rrm.nets.adam import FlatAdam
 from rrm.nets.encoder import Encoder, Pass
 from rrm.nets.tower import Tower, product, project
@@ -238,16 +238,9 @@ class Drq:
         return {name: net.flat for name, net in self._nets.items()}
 
     def state_dict(self) -> State:
-        return {
-            "updates": self.updates,
-            "step": self._step,
-            "tensors": {name: tensor.clone() for name, tensor in self._tensors.items()},
-            "optimisers": {name: adam.state_dict() for name, adam in self._adams.items()},
-        }
+        return {"updates": self.updates, "step": self._step, **saved(self._tensors, self._adams)}
 
     def load_state_dict(self, state: State) -> None:
         """Continue where `state_dict` was taken; the streams are restored by whoever owns them."""
-        restore(self._tensors, state["tensors"])
-        for name, adam in self._adams.items():
-            adam.load_state_dict(state["optimisers"][name])
+        restore(self._tensors, self._adams, state)
         self.updates, self._step = state["updates"], state["step"]

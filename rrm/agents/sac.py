@@ -16,7 +16,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from rrm.agents.checks import finite_action, finite_figures, restore
+from rrm.agents.checks import finite_action, finite_figures, restore, saved
 from rrm.losses import squashed_gaussian_log_prob
 from rrm.nets.adam import FlatAdam
 from rrm.nets.mlp import Memory, Pass, StackedMLP
@@ -281,16 +281,10 @@ class Sac:
 
     def state_dict(self) -> State:
         self._take_figures()
-        return {
-            "updates": self.updates,
-            "tensors": {name: tensor.clone() for name, tensor in self._tensors.items()},
-            "optimisers": {name: adam.state_dict() for name, adam in self._adams.items()},
-        }
+        return {"updates": self.updates, **saved(self._tensors, self._adams)}
 
     def load_state_dict(self, state: State) -> None:
         """Continue where `state_dict` was taken; the streams are restored by whoever owns them."""
-        restore(self._tensors, state["tensors"])
-        for name, adam in self._adams.items():
-            adam.load_state_dict(state["optimisers"][name])
+        restore(self._tensors, self._adams, state)
         self._last = None
         self.updates = state["updates"]

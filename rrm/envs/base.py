@@ -62,6 +62,11 @@ class TaskEnv(gymnasium.Env[Floats, Floats]):
         self.horizon = horizon
         self._steps: int | None = None  # None before the first reset
 
+    @property
+    def rate(self) -> float:
+        """Steps a second of its own time; overridden where pictures for people are shown at another rate."""
+        return float(self.metadata["render_fps"])
+
     @abstractmethod
     def _begin(self) -> npt.ArrayLike:
         """Draw a task instance from `np_random`, start the episode and return its first observation."""

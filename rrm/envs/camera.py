@@ -4,15 +4,28 @@ from __future__ import annotations
 
 import atexit
 import weakref
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import mujoco
 
+from rrm.envs.spaces import FrameSpace
 from rrm.rendering import attach
 
 if TYPE_CHECKING:
-    from rrm.envs.spaces import FrameSpace
     from rrm.types import Pixels
+
+#: Pictures for people. The rate is slower than life: control lasts 1/80 to 1/40 s.
+PEOPLE: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 20}
+_SIZE = FrameSpace(360, 480)
+
+
+class Vantage(NamedTuple):
+    """Where a person looks from: angles in degrees, lengths in metres."""
+
+    azimuth: float
+    elevation: float
+    distance: float
+    lookat: tuple[float, float, float]
 
 
 class Camera:
@@ -23,8 +36,8 @@ class Camera:
         self._as_shipped = model.vis.quality.offsamples, model.vis.quality.shadowsize
         self._renderers: dict[tuple[int, int, str], mujoco.Renderer] = {}
 
-    def picture(self, data: Any, space: FrameSpace) -> Pixels:
-        """What the view `space.view` shows, uint8 [height, width, 3] RGB, as it is mounted.
+    def picture(self, data: Any, space: FrameSpace, camera: Any = None) -> Pixels:
+        """What the view `space.view`, or MuJoCo's `camera`, shows, uint8 [height, width, 3] RGB, as it is mounted.
 
         Raises RenderingError where nothing draws.
         """
@@ -32,9 +45,16 @@ class Camera:
         if size not in self._renderers:
             self._renderers[size] = self._open(*size)
         renderer = self._renderers[size]
-        renderer.update_scene(data, camera=space.view)
+        renderer.update_scene(data, camera=camera or space.view)
         picture: Pixels = renderer.render()
         return picture
+
+    def portrait(self, data: Any, vantage: Vantage) -> Pixels:
+        """What a person is shown, uint8 [360, 480, 3] RGB. Raises as `picture`."""
+        free = mujoco.MjvCamera()
+        free.azimuth, free.elevation, free.distance = vantage[:3]
+        free.lookat[:] = vantage.lookat
+        return self.picture(data, _SIZE, free)
 
     def _open(self, height: int, width: int, quality: str) -> mujoco.Renderer:
         attach()

@@ -15,8 +15,9 @@ import mujoco
 import numpy as np
 
 from rrm.envs.base import MUJOCO_BOUND, Doubles, TaskEnv
+from rrm.envs.camera import PEOPLE, Camera, Vantage
 from rrm.errors import ConfigError, NumericalError
-from rrm.types import State
+from rrm.types import Pixels, State
 
 with warnings.catch_warnings(action="ignore"):  # without a display, its search for OpenGL warns; nothing is rendered
     from dm_control import suite
@@ -25,6 +26,8 @@ with warnings.catch_warnings(action="ignore"):  # without a display, its search 
 #: Everything that integration depends on, the solver's warm start included.
 _SPEC = mujoco.mjtState.mjSTATE_INTEGRATION
 _LONGEST = 1000
+#: Goes along with the torso; the height it looks at stays.
+_VANTAGE = Vantage(90, -15, 4.5, (0.0, 0.0, 0.9))
 
 #: The suite's accessors of what a step led to, by domain. Speeds in m/s, heights in metres.
 _OUTCOMES: dict[str, dict[str, Callable[[Any], float]]] = {
@@ -43,6 +46,8 @@ _OUTCOMES: dict[str, dict[str, Callable[[Any], float]]] = {
 class DmcEnv(TaskEnv):
     """A task of the suite by its names, such as "walker" and "walk"; episodes have 1000 steps at the most."""
 
+    metadata = PEOPLE
+
     def __init__(self, domain: str, task: str, horizon: int = _LONGEST, render_mode: str | None = None) -> None:
         if (domain, task) not in suite.ALL_TASKS:
             raise ConfigError(f"DM-Control's suite has no task {task!r} in domain {domain!r}")
@@ -50,6 +55,7 @@ class DmcEnv(TaskEnv):
             raise ConfigError(f"horizon is {horizon}; the suite's episodes have {_LONGEST} steps at the most")
         self.sim = suite.load(domain, task, task_kwargs={"random": 0})  # seeded anew at every reset
         self._outcomes = _OUTCOMES.get(domain, {})
+        self._camera = Camera(self.sim.physics.model.ptr)
         actions = self.sim.action_spec()
         self._middle = (actions.maximum + actions.minimum) / 2
         self._half = (actions.maximum - actions.minimum) / 2
@@ -58,6 +64,10 @@ class DmcEnv(TaskEnv):
             obs_dim = sum(int(np.prod(spec.shape)) for spec in self.sim.observation_spec().values())
         sizes = {"obs_dim": obs_dim, "act_dim": actions.shape[0], "horizon": horizon}
         super().__init__(-MUJOCO_BOUND, MUJOCO_BOUND, **sizes, render_mode=render_mode)
+
+    @property
+    def rate(self) -> float:
+        return float(1 / self.sim.control_timestep())
 
     def _begin(self) -> Doubles:
         self.sim.task.random.seed(int(self.np_random.integers(2**32)))
@@ -87,7 +97,16 @@ class DmcEnv(TaskEnv):
         mujoco.mj_step1(physics.model.ptr, physics.data.ptr)
         self.sim._step_count = int(state["step_count"])
 
+    def render(self) -> Pixels | None:
+        """The body from its side, for people, uint8 [360, 480, 3] RGB; None without a render mode."""
+        if self.render_mode is None:
+            return None
+        physics = self.sim.physics
+        x, y, _ = physics.named.data.xpos["torso"]
+        return self._camera.portrait(physics.data.ptr, _VANTAGE._replace(lookat=(x, y, _VANTAGE.lookat[2])))
+
     def close(self) -> None:
+        self._camera.close()
         self.sim.close()
 
 

@@ -21,7 +21,7 @@ import numpy as np
 from metaworld.sawyer_xyz_env import SawyerXYZEnv
 
 from rrm.envs.base import MUJOCO_BOUND, Doubles, TaskEnv
-from rrm.envs.camera import Camera
+from rrm.envs.camera import PEOPLE, Camera, Vantage
 from rrm.envs.spaces import FrameSpace
 from rrm.envs.tasks import task as task_of
 from rrm.errors import ConfigError, NumericalError, UnknownNameError
@@ -31,10 +31,17 @@ from rrm.types import Floats, Pixels, State
 _SPEC = mujoco.mjtState.mjSTATE_INTEGRATION
 _LONGEST = int(SawyerXYZEnv.max_path_length)
 
+#: From where people see hand, object and goal at once: from over the left shoulder; more from the side what the hand
+#: would hide.
+_VANTAGE = Vantage(120, -30, 1.1, (0.0, 0.68, 0.15))
+_ASIDE = _VANTAGE._replace(azimuth=150)
+_VANTAGES = {"button-press-v3": _ASIDE, "sweep-into-v3": _ASIDE}
+
 
 class MetaWorldEnv(TaskEnv):
     """A task by its name there, "button-press-v3": 39 numbers in, 4 out (hand velocity in x, y, z; gripper effort)."""
 
+    metadata = PEOPLE
     obs_dim = 39
 
     def __init__(self, task: str, horizon: int = _LONGEST, render_mode: str | None = None) -> None:
@@ -54,6 +61,11 @@ class MetaWorldEnv(TaskEnv):
         self.sim._freeze_rand_vec = True
         self._task = task
         self._vector = np.zeros(0)
+        self._camera = Camera(self.sim.model)
+
+    @property
+    def rate(self) -> float:
+        return float(1 / self.sim.dt)
 
     def _begin(self) -> Doubles:
         return self._start(self._draw())
@@ -102,7 +114,14 @@ class MetaWorldEnv(TaskEnv):
         sim._prev_obs = np.array(state["previous_obs"], dtype=np.float64)
         sim.curr_path_length = int(state["path_length"])
 
+    def render(self) -> Pixels | None:
+        """The robot and its object for people, uint8 [360, 480, 3] RGB; None without a render mode."""
+        if self.render_mode is None:
+            return None
+        return self._camera.portrait(self.sim.data, _VANTAGES.get(self._task, _VANTAGE))
+
     def close(self) -> None:
+        self._camera.close()
         self.sim.close()
 
 
@@ -119,7 +138,6 @@ class MetaWorldImageEnv(MetaWorldEnv):
         super().__init__(task, horizon, render_mode)
         self.full_obs: Floats = np.zeros(39, np.float32)  #: what the task's other half, without a camera, shows now
         self._object_start = np.zeros(3)
-        self._camera = Camera(self.sim.model)
 
     def _start(self, vector: Doubles) -> Doubles:
         full = super()._start(vector)
@@ -145,10 +163,6 @@ class MetaWorldImageEnv(MetaWorldEnv):
     def _restore(self, state: State) -> None:
         super()._restore(state)
         self.full_obs = np.array(state["full_obs"], np.float32)
-
-    def close(self) -> None:
-        self._camera.close()
-        super().close()
 
 
 def scripted_policy(name: str) -> Callable[[Floats], Floats]:

@@ -11,7 +11,9 @@ from rrm.envs.tasks import make
 from rrm.types import Obs
 
 if TYPE_CHECKING:
+    from rrm.envs.base import TaskEnv
     from rrm.envs.spaces import FrameSpace
+    from rrm.envs.tasks import Ranges
     from rrm.types import Floats, Pixels, State
 
 
@@ -23,14 +25,19 @@ class Observer:
     """
 
     def __init__(
-        self, name: str, horizon: int | None = None, frames: FrameSpace | None = None, repeat: int = 1
+        self,
+        env: str | TaskEnv,
+        horizon: int | None = None,
+        frames: FrameSpace | None = None,
+        repeat: int = 1,
+        ranges: Ranges | None = None,
     ) -> None:
         """Args:
-        name, horizon: as for `rrm.envs.make`, which raises as it does.
+        env, horizon, ranges: as for `rrm.envs.make`, which raises as it does; or one that is there.
         frames: what a camera shows; None where nobody looks.
         repeat: steps of the environment that one action lasts. Their rewards are added up; one with success is enough.
         """
-        self.env = make(name, horizon=horizon)
+        self.env = make(env, horizon, ranges) if isinstance(env, str) else env
         self._space = frames
         self._repeat = repeat
         self._frames: deque[Pixels] = deque(maxlen=frames.stack if frames else 0)

@@ -10,10 +10,13 @@ Priors ask for features by name: nobody else indexes an observation.
 from __future__ import annotations
 
 import importlib
+import sys
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
+from importlib.metadata import PackageNotFoundError, version
 from typing import TYPE_CHECKING, Any, Literal
 
+from rrm.envs.panda.physics import Physics
 from rrm.envs.spaces import FrameSpace, Spaces
 from rrm.errors import ConfigError, UnknownNameError
 
@@ -24,9 +27,15 @@ if TYPE_CHECKING:
     from rrm.envs.base import TaskEnv
     from rrm.types import Floats
 
+#: From where to where a quantity is drawn, by its name in `Task.physics`.
+Ranges = Mapping[str, tuple[float, float]]
+
 ScoreKind = Literal["success", "return"]
 
 #: Where a feature stands in the observation, or how it follows from it.
+#: The suite whose tasks an arm does.
+ARM = "panda"
+
 Feature = slice | Callable[["Floats"], Any]
 
 
@@ -35,13 +44,15 @@ class Task:
     """What planning, priors and reports need to know of a task without starting its simulator."""
 
     name: str  #: as on the command line
-    suite: str  #: "metaworld", "dmc" or "toy", and "-image" behind it where a camera shows what the state does not
+    suite: str  #: "metaworld", "dmc", "panda" or "toy"; "-image" behind it: a camera shows what the state does not
     score: ScoreKind  #: what the paper reports for it: success rate, or true return
     horizon: int  #: steps of an episode
     spaces: Spaces
     entry_point: str  #: dotted path of the environment's class
     kwargs: Mapping[str, str] = field(default_factory=dict)  #: arguments of that class
     packages: tuple[str, ...] = ("gymnasium",)  #: distributions that its simulator is made of
+    extra: str | None = None  #: of ours, that brings those beyond what we always need
+    physics: Physics | None = None  #: what its simulation is like, where a run may have it vary
     features: Mapping[str, Feature] = field(default_factory=dict)  #: what a prior may ask of an observation, by name
     outcomes: tuple[str, ...] = ()  #: physical quantities after a step, in its `info`, that a prior may read
     views: tuple[str, ...] = ()  #: cameras there are, where it has any
@@ -104,6 +115,14 @@ def _dmc(name: str, spaces: Spaces, upright: int, outcomes: tuple[str, ...]) -> 
     )  # fmt: skip
 
 
+def _panda(name: str, spaces: Spaces, features: Mapping[str, Feature]) -> Task:
+    return Task(
+        name=f"{ARM}-{name}", suite=ARM, score="success", horizon=100, spaces=spaces,
+        entry_point="rrm.envs.panda.env:PandaEnv", kwargs={"task": name}, features=features,
+        packages=("pybullet", "gymnasium"), extra="robot", physics=Physics(),
+    )  # fmt: skip
+
+
 _TOY_CAR = Task(
     name="toy-car", suite="toy", score="success", horizon=100, spaces=Spaces(15, 2),
     entry_point="rrm.envs.toy_car:ToyCarEnv",
@@ -124,6 +143,9 @@ TASKS: dict[str, Task] = {
         *map(_metaworld, ("button-press", "door-open", "door-unlock", "sweep-into", "window-open")),
         _dmc("walker-walk", Spaces(24, 6), upright=0, outcomes=("torso_upright", "torso_height", "forward_velocity")),
         _dmc("quadruped-walk", Spaces(78, 12), upright=47, outcomes=("torso_upright", "forward_velocity")),
+        _panda("reach", Spaces(6, 3), {"hand": slice(0, 3), "object": slice(3, 6), "goal": slice(3, 6)}),
+        _panda("push", Spaces(7, 2), {"hand": slice(0, 2), "object": slice(2, 4), "goal": slice(5, 7)}),
+        _panda("pick-and-reach", Spaces(10, 3), {"hand": slice(0, 3), "object": slice(3, 6), "goal": slice(7, 10)}),
         _TOY_CAR,
         *map(_metaworld_image, ("button-press", "sweep-into")),
         _TOY_CAR_IMAGE,
@@ -139,16 +161,53 @@ def task(name: str) -> Task:
         raise UnknownNameError("task", name, TASKS) from None
 
 
-def make(name: str, horizon: int | None = None) -> TaskEnv:
+def require(spec: Task) -> None:
+    """A `ConfigError`, with the command that mends it, where what the task's simulator is made of is not installed."""
+    for package in spec.packages:
+        try:
+            version(package)
+        except PackageNotFoundError:
+            what = "rrmctl" if spec.extra is None else f"rrmctl[{spec.extra}]"
+            missing = f"{spec.name} needs {package}, which is not installed{wheels(package)}"
+            raise ConfigError(f"{missing}: pip install '{what}'") from None
+
+
+def can_vary(spec: Task, ranges: Ranges) -> None:
+    """A `ConfigError` where the task's simulation has not what `ranges` would draw."""
+    for name in ranges:
+        if not hasattr(spec.physics, name):
+            those = ", ".join(each.name for each in TASKS.values() if hasattr(each.physics, name)) or "none"
+            raise ConfigError(f"env.{name}: {spec.name} has none that could vary; these have: {those}")
+
+
+def wheels(package: str, python: tuple[int, int] = sys.version_info[:2]) -> str:
+    """What to know before it is installed into this Python: nothing, or that pip would have to compile it."""
+    if package != "pybullet" or python < (3, 12):
+        return ""
+    return f" (it has no wheel for Python {python[0]}.{python[1]}, for 3.11 it has)"
+
+
+def make(
+    name: str, horizon: int | None = None, ranges: Ranges | None = None, render_mode: str | None = None
+) -> TaskEnv:
     """A fresh environment of the task, ready for `reset(seed=...)`; its simulator is imported now.
 
-    `horizon`: steps of an episode where it is to be shorter than the task's own; a `ConfigError` beyond that.
+    Args:
+        name: of the task.
+        horizon: steps of an episode where it is to be shorter than the task's own; a `ConfigError` beyond that.
+        ranges: from where to where each of these is drawn at every reset, of a task that has `physics`.
+        render_mode: "rgb_array" for an environment whose `render()` gives a picture for people, uint8 [H, W, 3].
+
+    Raises ConfigError where the simulator is not installed, or has not what is to be drawn.
     """
     spec = task(name)
     if horizon is not None and not 1 <= horizon <= spec.horizon:
         raise ConfigError(f"horizon is {horizon}; an episode of {name} has between 1 and {spec.horizon} steps")
+    can_vary(spec, ranges or {})
+    require(spec)
     module, _, attribute = spec.entry_point.partition(":")
+    drawn = {"ranges": ranges} if ranges else {}
     environment: TaskEnv = getattr(importlib.import_module(module), attribute)(
-        **spec.kwargs, horizon=horizon or spec.horizon
+        **spec.kwargs, horizon=horizon or spec.horizon, render_mode=render_mode, **drawn
     )
     return environment

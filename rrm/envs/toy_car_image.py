@@ -12,20 +12,23 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from rrm.envs.base import Doubles, TaskEnv
-from rrm.envs.toy_car import ARENA, GOAL_RADIUS, TOP_SPEED, Layout, Point, drive, true_reward
+from rrm.envs.spaces import FrameSpace
+from rrm.envs.toy_car import ARENA, GOAL_RADIUS, TOP_SPEED, Layout, Point, ToyCarEnv, drive, true_reward
 
 if TYPE_CHECKING:
-    from rrm.envs.spaces import FrameSpace
     from rrm.types import Pixels, State
 
 _NOWHERE: Point = (math.inf, math.inf)
 _LAYOUT = Layout((0.0, 0.0), (_NOWHERE,) * 3)
+_FOR_PEOPLE = FrameSpace(320, 320)
 _CAR_RADIUS = 0.25  # metres; drawn larger than it is, so that a few pixels show where it is between them
 _GROUND, _GOAL, _CAR = ((245.0, 245.0, 245.0), (120.0, 200.0, 120.0), (60.0, 90.0, 200.0))  # RGB
 
 
 class ToyCarImageEnv(TaskEnv):
     """The car's position (m), its velocity (m/s) and the goal's position in 6 numbers; the view is "above"."""
+
+    metadata = ToyCarEnv.metadata
 
     def __init__(self, horizon: int = 100, render_mode: str | None = None) -> None:
         high = [ARENA] * 2 + [TOP_SPEED] * 2 + [ARENA] * 2
@@ -61,6 +64,10 @@ class ToyCarImageEnv(TaskEnv):
             picture += cover * (np.array(colour) - picture)
         rounded: Pixels = np.rint(picture).astype(np.uint8)
         return rounded
+
+    def render(self) -> Pixels | None:
+        """The arena from above, uint8 [320, 320, 3] RGB; None without a render mode."""
+        return None if self.render_mode is None else self.frame(_FOR_PEOPLE)
 
     def _save(self) -> State:
         return {"position": list(self.position), "velocity": list(self.velocity)}

@@ -48,7 +48,7 @@ class GradientLog:
         steps, losses, norms = map(pa.array, self.state_dict().values())
         names = pa.DictionaryArray.from_arrays(losses, pa.array(LOSSES))
         table = pa.table({"step": steps, "loss": names, "gradient_norm": norms})
-        write_table(path, table, write_page_checksum=True)
+        write_table(path, table)
 
     def state_dict(self) -> State:
         return {name: np.array(values, self._TYPES[name]) for name, values in self._columns.items()}

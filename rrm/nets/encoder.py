@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from rrm.precision import Precision
 
 _SIDE = 3  #: of every kernel
-_AT_ONCE = {torch.float32: 16, torch.bfloat16: 64}  #: pictures
+AT_ONCE = {torch.float32: 16, torch.bfloat16: 64}  #: pictures
 
 #: A picture is read as x - 128, which bfloat16 holds exactly: x / 255 - 1/2 is that over 255, and so much more.
 _SCALE, _MORE = 1 / 255, 128 / 255 - 0.5
@@ -128,7 +128,7 @@ class Pass:
             for layer, shape in enumerate(net.shapes)
         ]
         self.features = cast("Tensor", self._rooms[-1]).view(stacks, -1)  #: in the encoder's precision, [B, outputs]
-        step = _AT_ONCE[net.dtype] if net.flat.device.type == "cpu" else stacks
+        step = AT_ONCE[net.dtype] if net.flat.device.type == "cpu" else stacks
         self._chunks = [slice(begin, min(begin + step, stacks)) for begin in range(0, stacks, step)]
         self._factors: list[Tensor] = []
         self._pictures: list[Tensor] = []

@@ -13,17 +13,22 @@ import os
 import signal
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 from typing import TextIO
 
 import torch
+from torch import Tensor
 
+from rrm.nets.encoder import AT_ONCE
 from rrm.nets.precision import multiplies
-from rrm.nets.program import Work
 from rrm.nets.ways import WAYS, MklKernel
-from rrm.tuning import FORMS, ROUNDED, SHAPES, cell
+from rrm.precision import Precision
+from rrm.tuning import CONVOLUTIONS, FORMS, ROUNDED, SEEING, SHAPES, cell
 
 _TURNS, _TURN_S = 3, 0.002
+_SIDES = 29, 27  # of pictures before and behind a convolution
+_LACKING = "this processor or this torch does not have it"
 
 #: So long may one way take; it is a second at the most. Then the system ends this process.
 _PATIENCE_S = 120
@@ -45,10 +50,12 @@ def main(names: Sequence[str], output: TextIO) -> None:
 
 def attempt(name: str) -> tuple[dict[str, float], str]:
     """Rates of one way by cell, and why it is not to be taken; empty where it is."""
+    if name in SEEING.values():
+        return _convolutions("bfloat16" if name == SEEING["bfloat16"] else "float32")
     dtype = torch.bfloat16 if name == ROUNDED else torch.float32
     way = WAYS["torch" if name == ROUNDED else name]
     if (isinstance(way, MklKernel) and not way.there()) or (name == ROUNDED and not multiplies("bfloat16")):
-        return {}, "this processor or this torch does not have it"
+        return {}, _LACKING
     rates = {}
     generator = torch.Generator().manual_seed(0)
     for shape in SHAPES:
@@ -68,12 +75,38 @@ def attempt(name: str) -> tuple[dict[str, float], str]:
     return rates, ""
 
 
-def _seconds(work: Work) -> float:
-    """A call in the best of a few turns."""
+def _convolutions(precision: Precision) -> tuple[dict[str, float], str]:
+    """Of a layer between two others, as many pictures at a time as an encoder takes."""
+    if not multiplies(precision):
+        return {}, _LACKING
+    rates, generator, dtype = {}, torch.Generator().manual_seed(0), getattr(torch, precision)
+    for channels in CONVOLUTIONS:
+        count, (below, above) = AT_ONCE[dtype], _SIDES
+        x, d = (torch.randn(count, side, side, channels, generator=generator) for side in (below, above))
+        x, d = (pictures.to(dtype).permute(0, 3, 1, 2) for pictures in (x, d))
+        weight, bias = (
+            torch.randn(channels, channels, 3, 3, generator=generator).to(dtype),
+            torch.zeros(channels).to(dtype),
+        )
+        rates[str(channels)] = (
+            6.0 * count * (3 * above * channels) ** 2 / _seconds(partial(_there_and_back, x, weight, bias, d))
+        )
+    return rates, ""
+
+
+def _there_and_back(x: Tensor, weight: Tensor, bias: Tensor, d: Tensor) -> None:
+    torch.nn.functional.conv2d(x, weight, bias)
+    torch.ops.aten.convolution_backward(
+        d, x, weight, [len(weight)], [1, 1], [0, 0], [1, 1], False, [0, 0], 1, [True] * 3
+    )
+
+
+def _seconds(work: Callable[[], object]) -> float:
+    """Of the processor, for a call, in the best of a few turns: others may want it, too."""
     best = math.inf
     for _ in range(_TURNS):
-        calls, start = 0, time.perf_counter()
-        while (passed := time.perf_counter() - start) < _TURN_S or not calls:
+        calls, start = 0, time.process_time()
+        while (passed := time.process_time() - start) < _TURN_S or not calls:
             work()
             calls += 1
         best = min(best, passed / calls)

@@ -23,6 +23,7 @@ PRIORS: dict[str, str] = {
     "proxy": "rrm.priors.proxy:proxy",
     "o2g": "rrm.priors.proxy:o2g",
     "h2o": "rrm.priors.proxy:h2o",
+    "1d": "rrm.priors.proxy:one_dimension",
     "sparse": "rrm.priors.proxy:sparse",
     "zero": "rrm.priors.proxy:zero",
     "opposite": "rrm.priors.proxy:opposite",

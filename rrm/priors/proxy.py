@@ -45,6 +45,12 @@ def h2o(step: PriorStep) -> float:
     return -math.dist(step.hand, step.object)
 
 
+@needs(("hand", "goal"))
+def one_dimension(step: PriorStep) -> float:
+    """-|hand - goal| along y alone: a hint that leaves most of the task to the residual."""
+    return -abs(float(step.hand[1] - step.goal[1]))
+
+
 @needs(("success",))
 def sparse(step: PriorStep) -> float:
     """1 for a step with success, else 0; among obstacles the paper's toy prior (appendix, "A toy example").

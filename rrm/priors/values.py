@@ -56,9 +56,9 @@ class PriorSource:
         self._seen.add(raw)
         return raw, scaled(raw, self._seen, self._normaliser)
 
-    def look(self, obs: Floats, act: Floats, info: dict[str, Any]) -> float:
+    def look(self, obs: Obs, act: Floats, info: dict[str, Any]) -> float:
         """The scaled prior of a step, at the scale as it is: nothing is learned from looking."""
-        return scaled(self._raw(Obs(obs), act, info, f'prior "{self._name}"'), self._seen, self._normaliser)
+        return scaled(self._raw(obs, act, info, f'prior "{self._name}"'), self._seen, self._normaliser)
 
     def _raw(self, obs: Obs, act: Floats, info: dict[str, Any], where: str) -> float:
         first = Scene(self._task, self._first)

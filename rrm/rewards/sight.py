@@ -31,12 +31,13 @@ class Sight:
         self._experience = experience
         self._encoder = encoder.frozen()
         self._session_rows = 0  # when the encoder was taken
-        self._remembered = torch.empty(0, encoder.outputs, dtype=torch.float16)
+        self._most = _LARGEST // (2 * encoder.outputs)  # rows whose features are remembered
+        self._forget()
 
     def __call__(self, rows: Tensor) -> Tensor:
         """Features float32 [..., T, R] of rows [..., T], which follow each other along the last axis."""
         experience = self._experience
-        if experience.rows * self._encoder.outputs * 2 <= _LARGEST:
+        if experience.rows <= self._most:
             self._remember(min(self._session_rows, experience.rows))
             self._remember(experience.rows)
             return self._remembered[rows].float()
@@ -52,12 +53,18 @@ class Sight:
         """See with this encoder as it is now."""
         self._encoder = encoder.frozen()
         self._session_rows = self._experience.rows
-        self._remembered = self._remembered[:0]
+        self._forget()
+
+    def _forget(self) -> None:
+        """Memory is touched only as rows come, and given back here."""
+        self._remembered = torch.empty(self._most, self._encoder.outputs, dtype=torch.float16)
+        self._known = 0
 
     def _remember(self, rows: int) -> None:
-        known = len(self._remembered)
-        if rows > known:
-            self._remembered = torch.cat((self._remembered, self._looked(known, rows).half()))
+        for begin in range(self._known, rows, _AT_ONCE):
+            end = min(begin + _AT_ONCE, rows)
+            self._remembered[begin:end] = self._encoder.encode(self._experience.stacks(begin, end))
+            self._known = end
 
     def _looked(self, begin: int, end: int) -> Tensor:
         looks = (self._experience.stacks(b, min(b + _AT_ONCE, end)) for b in range(begin, end, _AT_ONCE))
@@ -69,4 +76,4 @@ class Sight:
     def load_state_dict(self, state: State) -> None:
         self._encoder.flat.copy_(state["encoder"])
         self._session_rows = int(state["session_rows"])
-        self._remembered = self._remembered[:0]
+        self._forget()

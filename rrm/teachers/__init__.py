@@ -1,7 +1,9 @@
-"""Teachers answer queries. Named presets of the scripted one are here, as fields of `TeacherConfig`."""
+"""Teachers answer queries. Named ones are here, as fields of `TeacherConfig`."""
 
-#: The paper's teachers by name (section 4.4, appendix "Noisy teacher models"), and B-Pref's others.
-TEACHERS: dict[str, dict[str, float]] = {
+from typing import Any
+
+#: The paper's by name (section 4.4, appendix "Noisy teacher models"), B-Pref's others, and people.
+TEACHERS: dict[str, dict[str, Any]] = {
     "oracle": {},
     "stochastic": {"beta": 1.0},
     "mistaken-10": {"mistake": 0.1},
@@ -9,4 +11,5 @@ TEACHERS: dict[str, dict[str, float]] = {
     "skipping": {"skip": 0.1},
     "equal": {"equal": 0.1},
     "myopic": {"gamma": 0.9},
+    "human": {"kind": "human"},
 }

@@ -14,11 +14,12 @@ from rrm.buffers.replay import Replay
 from rrm.checkpoint import again
 from rrm.config import IMITATION, PRIOR_ALONE, DrqConfig
 from rrm.errors import ConfigError, DemosError, MissingResultError
+from rrm.files import place
 from rrm.imitation.demos import Demonstrations
 from rrm.imitation.discriminator import Discriminator, RewardNet
 from rrm.imitation.finetune import Finetune, ImitatedReward
 from rrm.imitation.visual import Eye, VisualDiscriminator
-from rrm.interfaces import Agent, RewardFunction, RewardLearner, VisualAgent
+from rrm.interfaces import Agent, RewardFunction, RewardLearner, Teacher, VisualAgent
 from rrm.moments import RunningMoments
 from rrm.priors import load_prior
 from rrm.priors.imitation import ImitationPrior, read_prior
@@ -35,10 +36,12 @@ from rrm.sources.base import Phase, RewardSource
 from rrm.sources.entropy import StateEntropy
 from rrm.sources.known import Known
 from rrm.sources.preferences import PreferenceReward
+from rrm.teachers import labels
+from rrm.teachers.human import HumanTeacher, ReplayTeacher
 from rrm.teachers.scripted import ScriptedTeacher
 from rrm.training.run_config import RunConfig
 
-#: Folders of earlier runs, by identity.
+#: Folders of earlier runs, by identity; and of this one, where it asks people.
 Results = Mapping[str, Path]
 NO_RESULTS: Results = MappingProxyType({})
 
@@ -57,6 +60,7 @@ class Parts:
     replay: Replay
     prior: PriorSource | None
     phases: tuple[Phase, ...]  #: in their order; the first begins at step 0
+    people: HumanTeacher | None = None  #: the teacher that must be able to show episodes
 
 
 def assemble(config: RunConfig, streams: Streams, results: Results) -> Parts:
@@ -69,20 +73,21 @@ def assemble(config: RunConfig, streams: Streams, results: Results) -> Parts:
     agent = build_agent(config, streams)
     if config.borrows_encoder:
         lend_encoder(config, cast("VisualAgent", agent), results)
-    repeat = config.action_repeat
+    repeat, people = config.action_repeat, None
     experience = Experience(config.steps // repeat, config.episode_steps // repeat, config.spaces, config.agent.window)
     prior = build_prior(config, streams, results)
     replay = Replay(experience, config.agent.batch, streams.torch("replay"), repeat)
 
     def preferences(learner: RewardLearner) -> PreferenceReward:
-        assert config.feedback is not None  # the configuration has checked both
-        assert config.teacher is not None
+        assert config.feedback is not None  # the configuration has checked it
         config.check_margin(learner.needs.margin * repeat)
         feedback = config.feedback.model_copy(update={"segment": config.feedback.segment // repeat})  # in transitions
         sight = None
         if config.sees_frames:
             experience.seen = sight = Sight(experience, cast("VisualAgent", agent).encoder)
-        teacher = ScriptedTeacher(config.teacher, streams.numpy("teacher"), experience.true_rewards)
+        nonlocal people
+        teacher = build_teacher(config, streams, experience, results)
+        people = teacher if isinstance(teacher, HumanTeacher) else None
         return PreferenceReward(
             feedback,
             first=switch, steps=config.steps, capacity=config.reward.capacity, experience=experience, replay=replay,
@@ -117,7 +122,9 @@ def assemble(config: RunConfig, streams: Streams, results: Results) -> Parts:
                 *phases,
             ]
     random = Phase(begin=0, source=source, random=True)
-    return Parts(agent=agent, experience=experience, replay=replay, prior=prior, phases=(random, *phases))
+    return Parts(
+        agent=agent, experience=experience, replay=replay, prior=prior, phases=(random, *phases), people=people
+    )
 
 
 def _demonstrations(config: RunConfig, results: Results) -> Demonstrations:
@@ -186,6 +193,22 @@ def build_reward(config: RunConfig, streams: Streams) -> RewardFunction:
         visual = VisualResidual if residual else VisualReward
         return visual(config.reward, seen, spaces.act, *made, width=config.agent.features)
     return (ResidualReward if residual else EnsembleReward)(config.reward, spaces.obs, spaces.act, *made)
+
+
+def build_teacher(config: RunConfig, streams: Streams, experience: Experience, results: Results) -> Teacher:
+    """Who answers the run's queries."""
+    assert config.teacher is not None  # the configuration has checked both
+    assert config.feedback is not None
+    if config.teacher.kind == "scripted":
+        return ScriptedTeacher(config.teacher, streams.numpy("teacher"), experience.true_rewards)
+    if config.teacher.labels is not None:
+        config.check_answers()
+        return ReplayTeacher(place(config.teacher.labels), config.answered)
+    return HumanTeacher(
+        result_of(results, config.identity, labels.FILE), config.identity, experience,
+        task=config.task, ranges=config.env.ranges(), repeat=config.action_repeat, horizon=config.episode_steps,
+        window=config.feedback.window,
+    )  # fmt: skip
 
 
 def build_prior(config: RunConfig, streams: Streams, results: Results) -> PriorSource | None:

@@ -6,7 +6,7 @@ On environments and random streams of their own, so that they cannot disturb tra
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +16,7 @@ from rrm.buffers.frames import Frames
 from rrm.checkpoint import again, read_networks
 from rrm.config import EvaluationConfig
 from rrm.envs.observer import Observer
+from rrm.envs.tasks import Ranges
 from rrm.errors import DemosError, MissingResultError
 from rrm.imitation.demos import Demonstrations
 from rrm.interfaces import Agent
@@ -32,26 +33,39 @@ def evaluate(agent: Agent, env: Observer, config: EvaluationConfig, *, seed: int
     totals: list[float] = []
     successes: list[float] = []
     for number in range(config.episodes):
-        obs = env.reset(seed=evaluation_seed(seed, step, number))
-        total, flags, over = 0.0, [], False
-        while not over:
-            obs, reward, terminated, truncated, info = env.step(agent.act(obs, explore=False))
-            total += reward
-            flags.append(float(info.get("success", np.nan)))
-            over = terminated or truncated
+        *_, (total, success) = play(deterministic(agent), env, config, evaluation_seed(seed, step, number))
         totals.append(total)
-        successes.append(flags[-1] if config.success == "last" else float(np.max(flags)))
+        successes.append(success)
     return Evaluation(float(np.mean(totals)), float(np.mean(successes)))
 
 
-def expert_policy(config: RunConfig, model: Path) -> Policy:
-    """The deterministic policy of a finished run, from the networks it left in the file `model`."""
-    agent = build_agent(config, Streams(config.seed))
-    networks = read_networks(model, "the expert's networks")
-    if "agent" not in networks:
-        raise MissingResultError(f"{model} does not hold the expert's networks: {again(model)}")
-    agent.load_state_dict(networks["agent"])
+def play(policy: Policy, env: Observer, config: EvaluationConfig, seed: int) -> Iterator[tuple[float, float]]:
+    """Play an episode: its return and success so far, at its beginning and after every action. Success is NaN where
+    the task has no such notion, and at the beginning.
+    """
+    obs, total, success, over = env.reset(seed=seed), 0.0, np.nan, False
+    yield total, success
+    while not over:
+        obs, reward, terminated, truncated, info = env.step(policy(obs))
+        total, now = total + reward, float(info.get("success", np.nan))
+        success = now if config.success == "last" else float(np.fmax(success, now))
+        yield total, success
+        over = terminated or truncated
+
+
+def deterministic(agent: Agent) -> Policy:
+    """What it does where it explores nothing."""
     return lambda obs: agent.act(obs, explore=False)
+
+
+def expert_policy(config: RunConfig, model: Path) -> Policy:
+    """The deterministic policy of a run, from the networks it left in the file `model`."""
+    agent = build_agent(config, Streams(config.seed))
+    networks = read_networks(model, "the policy's networks")
+    if "agent" not in networks:
+        raise MissingResultError(f"{model} does not hold the policy's networks: {again(model)}")
+    agent.load_state_dict(networks["agent"])
+    return deterministic(agent)
 
 
 def demonstrate(
@@ -63,6 +77,7 @@ def demonstrate(
     source: Mapping[str, Any],
     horizon: int | None = None,
     repeat: int = 1,
+    ranges: Ranges | None = None,
     frames: Frames | None = None,
     by_state: bool = False,
     least_success: float = 0.0,
@@ -75,12 +90,13 @@ def demonstrate(
         source: what to say of the policy in the provenance.
         horizon: steps of an episode where shorter than the task's own.
         repeat: steps of the environment that an action lasts.
+        ranges: what of the simulation varies.
         frames: where the pictures go, of a task with a camera.
         by_state: the policy is of the task without a camera: it acts on the `full_obs` that the environment then has.
         least_success: share of the episodes that must succeed (else `DemosError`), where the task has that notion.
         stopped: asked after every episode with the steps so far and steps per second.
     """
-    env = Observer(task, horizon, None if frames is None else frames.space, repeat)
+    env = Observer(task, horizon, None if frames is None else frames.space, repeat, ranges)
     rng, began = Streams(seed).numpy("demonstrations"), time.monotonic()
     steps: dict[str, list[Any]] = {"obs": [], "act": [], "next_obs": [], "terminated": []}
     lengths: list[int] = []

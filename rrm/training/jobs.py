@@ -25,7 +25,7 @@ from rrm.registry import lookup
 from rrm.rendering import renderer
 from rrm.training.build import DEMOS, NO_RESULTS, Assembled, Results, assemble, result_of
 from rrm.training.episodes import demonstrate, expert_policy
-from rrm.training.kinds import JOBS, DemosConfig
+from rrm.training.kinds import JOBS, MODEL, DemosConfig, kept_networks
 from rrm.training.loop import Trainer
 from rrm.training.run_config import JobConfig, RunConfig
 from rrm.tuning import Choice, machine
@@ -100,7 +100,7 @@ def collect(config: DemosConfig, folder: Path, monitor: Monitor, results: Result
     True when they are there; False when it was told to stop, and will begin anew.
     """
     torch.set_num_threads(config.threads)
-    policy = expert_policy(config.expert, result_of(results, config.expert.identity, "model.safetensors"))
+    policy = expert_policy(config.expert, result_of(results, config.expert.identity, MODEL))
 
     def stopped(step: int, steps_per_s: float) -> bool:
         monitor.beat(step, steps_per_s)
@@ -115,7 +115,8 @@ def collect(config: DemosConfig, folder: Path, monitor: Monitor, results: Result
     demos = demonstrate(
         config.task, policy, config.episodes,
         seed=config.seed, horizon=config.expert.horizon, least_success=config.least_success, source=source,
-        repeat=config.expert.action_repeat, frames=frames, by_state=config.expert.task != config.task, stopped=stopped,
+        ranges=config.expert.env.ranges(), repeat=config.expert.action_repeat, frames=frames,
+        by_state=config.expert.task != config.task, stopped=stopped,
     )  # fmt: skip
     if demos is None:
         return False
@@ -149,22 +150,22 @@ def train(
         OSError: a checkpoint could not be written; the ones before are intact.
     """
     torch.set_num_threads(config.threads)
+    known = results if not config.asks_people else {**results, config.identity: folder}
     checkpoints = Checkpoints(folder / "checkpoint")
     with monitor.writing():  # what is damaged is set aside
         make_folder(checkpoints.folder)
-        trainer = _restore(lambda: Trainer(config, results, assembled), checkpoints, monitor)
+        trainer = _restore(lambda: Trainer(config, known, assembled), checkpoints, monitor)
     monitor.restored(trainer.rows)
-    saved_at = beat_at = time.monotonic()
-    saved_step = beat_step = trainer.step
+    saved_at, saved_step = beat_at, beat_step = time.monotonic(), trainer.step
 
     def save() -> None:
         nonlocal saved_at, saved_step
         check_finite(trainer.weights())
-        if trainer.step == config.steps:
-            return  # the run is over; its networks are written instead
         with monitor.writing():
-            checkpoints.save(trainer.step, trainer.save(checkpoints.folder))
-            trainer.experience.discard(checkpoints.folder)
+            if trainer.step < config.steps:  # else the run is over; its networks are written instead
+                checkpoints.save(trainer.step, trainer.save(checkpoints.folder))
+                trainer.experience.discard(checkpoints.folder)
+            trainer.publish(folder)
         saved_at, saved_step = time.monotonic(), trainer.step
 
     try:
@@ -174,11 +175,9 @@ def train(
             except WaitingError:
                 save()
                 raise
+            _keep(trainer, folder, monitor)
             if trainer.step % config.evaluation.every == 0 or trainer.step == config.steps:
                 monitor.row(trainer.evaluate())
-                with monitor.writing():
-                    for source in trainer.sources.values():
-                        source.publish(folder)
                 save()
             now = time.monotonic()
             if now - beat_at >= _BEAT_S:
@@ -204,9 +203,20 @@ def train(
     return True
 
 
+def _keep(trainer: Trainer, folder: Path, monitor: Monitor) -> None:
+    """The networks of a step that is to be deployed. Where training goes back behind it, they are the same again."""
+    if trainer.step not in trainer.config.deploy.checkpoints or trainer.step == trainer.config.steps:
+        return
+    check_finite(trainer.weights())
+    path = folder / kept_networks(trainer.step, trainer.config.steps)
+    with monitor.writing():
+        make_folder(path.parent)
+        write_atomically(path, encode({"agent": trainer.agent.state_dict()}))
+
+
 def _leave(networks: State, folder: Path, monitor: Monitor) -> None:
     with monitor.writing():
-        write_atomically(folder / "model.safetensors", encode(networks))
+        write_atomically(folder / MODEL, encode(networks))
     if prior := networks.get("imitation"):  # what it is worth, and how far it reaches
         spans = ", ".join(f"{low:.2f} to {high:.2f} on the {name}" for name, (low, high) in prior["range"].items())
         monitor.note(f"the prior is g of step {prior['step']:,}, {_worth(prior)}; it runs from {spans}")

@@ -38,13 +38,15 @@ class Trainer:
         self.rows: list[EvalRow] = []  #: evaluations so far, oldest first
         self.streams = Streams(config.seed)
         self.env, self._eval_env = (
-            Observer(config.task, config.horizon, config.spaces.frames, config.action_repeat) for _ in range(2)
+            Observer(config.task, config.horizon, config.spaces.frames, config.action_repeat, config.env.ranges())
+            for _ in range(2)
         )
         parts = assembled(config, self.streams, results)
         self.agent = parts.agent
         self.experience = parts.experience
         self.prior = parts.prior
         self.phases = parts.phases
+        self.people = parts.people
         self.sources: dict[str, RewardSource] = {phase.source.name: phase.source for phase in self.phases}
         self._started = time.monotonic()  # as if nothing had interrupted it
         self._row_wall_s, self._row_step = 0.0, 0  # at the last row
@@ -97,6 +99,8 @@ class Trainer:
 
     def _reset(self, seed: int | None = None) -> Obs:
         obs = self.env.reset(seed=seed)
+        if self.people is not None:
+            self.people.begins(self.env.env.state_dict())
         if self.prior is not None:
             self.prior.begin_episode(obs.state)
         return obs
@@ -171,6 +175,13 @@ class Trainer:
         self._obs = self.env.seen(loop["obs"])
         self._return, self._length = float(loop["return"]), int(loop["length"])
         self.streams.load_state_dict(state["streams"])
+
+    def publish(self, folder: Path) -> None:
+        """Replace what is to be looked at beside the curve, and put before people what they are to answer."""
+        for source in self.sources.values():
+            source.publish(folder)
+        if self.people is not None:
+            self.people.publish()
 
     def weights(self) -> State:
         """What training changes step by step, and what must stay finite."""

@@ -25,6 +25,7 @@ from rrm.config import (
     ConfigSection,
     Count,
     DrqConfig,
+    EnvConfig,
     EvaluationConfig,
     ExplorationConfig,
     FeedbackConfig,
@@ -35,12 +36,14 @@ from rrm.config import (
     TeacherConfig,
 )
 from rrm.envs.spaces import FrameSpace, Spaces
-from rrm.envs.tasks import TASKS, Task, task
-from rrm.errors import ConfigError, UnknownNameError
+from rrm.envs.tasks import ARM, TASKS, Task, can_vary, task
+from rrm.errors import ConfigError, LabelError, UnknownNameError
 from rrm.precision import PrecisionSetting
 from rrm.priors import check_prior
 from rrm.registry import check_file, file_digest, is_file_reference, source_digest
 from rrm.rewards import LEARNERS
+from rrm.robot.config import DeployConfig
+from rrm.teachers.labels import answered_runs, answers_digest
 
 _S = TypeVar("_S", bound=ConfigSection)
 
@@ -118,6 +121,7 @@ class RunConfig(JobConfig):
     horizon: Count | None = None  #: steps of an episode where shorter than the task's own
     action_repeat: Count = 1  #: environment steps that an action of the agent lasts; every count of steps is a multiple
     agent: AnyAgent = SacConfig()
+    env: EnvConfig = EnvConfig()  #: of tasks whose simulation may vary
     camera: CameraConfig = CameraConfig()  #: of tasks that have one, for agents that see its pictures
     reward: RewardConfig = RewardConfig()
     feedback: FeedbackConfig | None = FeedbackConfig()  #: None where no reward is learned
@@ -125,6 +129,7 @@ class RunConfig(JobConfig):
     exploration: ExplorationConfig = ExplorationConfig()
     imitation: ImitationConfig = ImitationConfig()  #: of runs that learn from demonstrations, and of planning theirs
     evaluation: EvaluationConfig = EvaluationConfig()
+    deploy: DeployConfig = DeployConfig()  #: of tasks that an arm does, and of planning what follows
     precision: PrecisionSetting = "float32"  #: of products between hidden layers; "auto" is this machine's fastest
 
     @model_validator(mode="after")
@@ -132,6 +137,8 @@ class RunConfig(JobConfig):
         spec = self.spec()
         if self.horizon is not None and self.horizon > spec.horizon:
             raise ConfigError(f"horizon: {self.horizon} steps is longer than {self.task}'s episode of {spec.horizon}")
+        can_vary(spec, self.env.ranges())
+        self._checkpoints_can_be_deployed()
         self._looks_and_counts()
         names, kind = {*LEARNERS, *KINDS}, self.reward.kind
         if self.reward.learner not in names and not is_file_reference(self.reward.learner):
@@ -175,6 +182,20 @@ class RunConfig(JobConfig):
             if steps % self.action_repeat:
                 raise ConfigError(f"{name}: {steps} is not a multiple of action_repeat, {self.action_repeat}")
 
+    def _checkpoints_can_be_deployed(self) -> None:
+        steps, setting = self.deploy.checkpoints, "deploy.checkpoints"
+        if not steps:
+            return
+        if self.spec().suite != ARM:
+            there = ", ".join(name for name, each in TASKS.items() if each.suite == ARM)
+            raise ConfigError(f"{setting}: an arm has nothing to do in {self.task}; it has in {there}")
+        if list(steps) != sorted(set(steps)):
+            raise ConfigError(f"{setting}: {', '.join(map(str, steps))} do not rise from one to the next")
+        if self.action_repeat > 1:
+            raise ConfigError(f"{setting}: an arm is told what to do at every step; action_repeat must be 1")
+        if steps[-1] > self.steps:
+            raise ConfigError(f"{setting}: {steps[-1]} comes after the run's end at {self.steps}")
+
     def _counted(self) -> Iterator[tuple[str, int]]:
         """Every count of environment steps that means something to this run."""
         yield from (("steps", self.steps), ("horizon", self.episode_steps), ("evaluation.every", self.evaluation.every))
@@ -210,6 +231,8 @@ class RunConfig(JobConfig):
     def _feedback_can_be_met(self) -> None:
         if self.feedback is None or self.teacher is None:
             raise ConfigError(f"feedback and teacher: the learner {self.reward.learner!r} needs both")
+        if (self.teacher.kind == "replay") is (self.teacher.labels is None):
+            raise ConfigError('teacher.labels: a file of answers is what the kind "replay" needs, and no other takes')
         self.check_margin(self.reward.settings.needs().margin)
         self.reward.settings.check(self.feedback.segment, self.agent.update_every)
         if self.from_demonstrations and self.first_session < self.random_steps + self.episode_steps:
@@ -239,6 +262,33 @@ class RunConfig(JobConfig):
     def from_demonstrations(self) -> bool:
         """True for runs that begin with demonstrations, up to `first_session` where preferences follow."""
         return self.reward.kind.demonstrated
+
+    @property
+    def asks_people(self) -> bool:
+        """Whether it waits for people."""
+        return self.reward.kind.learned and self.teacher is not None and self.teacher.kind == "human"
+
+    @property
+    def answered(self) -> str:
+        """The identity of the run whose queries people answer: this one, or the one whose answers it replays."""
+        if self.teacher is None or self.teacher.kind != "replay":
+            return self.identity
+        live = TeacherConfig(kind="human", study=self.teacher.study)
+        return self.model_copy(update={"teacher": live}).identity
+
+    def check_answers(self) -> None:
+        """Refuse to replay a file in which nobody answers the run that this one is to repeat."""
+        teacher = self.teacher
+        if (
+            teacher is not None
+            and teacher.labels is not None
+            and self.answered not in answered_runs(Path(teacher.labels))
+        ):
+            raise LabelError(
+                f"{teacher.labels} has no answers to {self.method} on {self.task} with seed {self.seed} in study "
+                f'"{teacher.study}" (run {self.answered}): ask for seeds and methods that it answers, with the profile '
+                "and settings of then"
+            )
 
     @property
     def requires(self) -> tuple[str, ...]:
@@ -283,6 +333,7 @@ class RunConfig(JobConfig):
     def canonical(self) -> Self:
         reward, explore = self.reward, self.exploration
         changes: dict[str, Any] = {"imitation": self._canonical_imitation()}
+        changes["deploy"] = _defaulted(self.deploy, "episodes", "rig")
         if reward.prior != IMITATION:
             reward = _defaulted(reward, "prior_run", "squash")
         if not reward.kind.learned:
@@ -298,6 +349,7 @@ class RunConfig(JobConfig):
             if not explore.unsupervised_steps:
                 explore = _defaulted(explore, "neighbours")
             changes["exploration"] = explore.model_copy(update={"seed_steps": self.random_steps})
+            changes["teacher"] = self._canonical_teacher()
         if self.from_demonstrations:
             changes["exploration"] = ExplorationConfig()
             reward = _defaulted(reward, "members", "hidden", "layers", "inputs")
@@ -307,10 +359,22 @@ class RunConfig(JobConfig):
         changes["reward"] = reward.model_copy(update=digests)
         if self.horizon == TASKS[self.task].horizon:
             changes["horizon"] = None
-        changes["camera"] = self._canonical_camera()
+        changes |= {"camera": self._canonical_camera(), "env": self._canonical_env()}
         if isinstance(self.agent, DrqConfig) and self.agent.encoder == self._usual_encoder:
             changes["agent"] = _defaulted(self.agent, "encoder")
         return self.model_copy(update=changes)
+
+    def _canonical_teacher(self) -> TeacherConfig | None:
+        teacher = self.teacher
+        if teacher is None or teacher.kind == "scripted":
+            return teacher and _defaulted(teacher, "study")
+        digest = None if teacher.labels is None else answers_digest(Path(teacher.labels))
+        return TeacherConfig(kind=teacher.kind, study=teacher.study, labels=teacher.labels, labels_digest=digest)
+
+    def _canonical_env(self) -> EnvConfig:
+        usual = self.spec().physics
+        ranges = self.env.ranges().items()
+        return _defaulted(self.env, *(name for name, ends in ranges if set(ends) == {getattr(usual, name)}))
 
     def _canonical_camera(self) -> CameraConfig:
         own, camera = self.spec().spaces.frames, self.camera
@@ -351,7 +415,8 @@ class RunConfig(JobConfig):
             name = described.get("reward", {}).get(key)
             if name is not None and is_file_reference(name):
                 described["reward"][key] = name.rpartition(":")[2]
-        described.get("imitation", {}).pop("demos", None)  # likewise
+        for section, file in (("imitation", "demos"), ("teacher", "labels")):  # likewise
+            (described.get(section) or {}).pop(file, None)
         if self.from_demonstrations:
             described.setdefault("imitation", {})["version"] = DEMONSTRATED_VERSION
         text = json.dumps({"version": CONFIG_VERSION, **described}, sort_keys=True, allow_nan=False)

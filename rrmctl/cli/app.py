@@ -16,7 +16,7 @@ from typer.core import TyperGroup
 import rrm
 from rrm.environ import environment
 from rrm.errors import RrmError
-from rrmctl.cli import demos, plan, prior, report, run, show, status
+from rrmctl.cli import demos, deploy, label, labels, plan, prior, report, run, show, status, stop
 from rrmctl.errors import Exit, UserError, room_error
 from rrmctl.terminal import UndeliveredError, attend, console
 
@@ -25,7 +25,7 @@ _MACHINE = {errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOSPC, errno.EDQUOT}
 _NAMES = {errno.ENAMETOOLONG, errno.ELOOP}
 
 #: Options that name a file or folder to be written to, or read.
-_PLACES = {"--results", "--experiments", "-o", "--output", "--into", "--prompt", "--frames"}
+_PLACES = {"--results", "--experiments", "-o", "--output", "--into", "--prompt", "--frames", "--film"}
 
 #: For what the libraries here do: a thread of each is enough, and none sets memory aside.
 _MODEST = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "ARROW_IO_THREADS"), "1") | {
@@ -117,13 +117,15 @@ def program(
 
 app.command("list")(plan.list_)
 for _command in (
-    *(plan.plan, run.run, status.status, run.resume, show.show),
+    *(plan.plan, run.run, label.label, status.status, stop.stop, run.resume, show.show),
     *(report.plot, report.export, status.clean, plan.doctor),
 ):
     app.command()(_command)
 app.add_typer(report.report_app, name="report")
 app.add_typer(prior.prior_app, name="prior")
 app.add_typer(demos.demos_app, name="demos")
+app.add_typer(labels.labels_app, name="labels")
+app.add_typer(deploy.deploy_app, name="deploy")
 
 
 def main() -> None:

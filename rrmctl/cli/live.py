@@ -3,34 +3,44 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import partial
+from types import MappingProxyType
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskID, TaskProgressColumn, TextColumn
 from rich.text import Text
 
+from rrmctl.cli import progress
 from rrmctl.cli.request import duration
 from rrmctl.running.scheduler import Outcome, Stage
+from rrmctl.store.labels import OpenSession
 from rrmctl.store.layout import Layout
 from rrmctl.store.status import ErrorKind, log_tail
 from rrmctl.store.sweeps import Job
 
 #: Least time between two lines about the evaluations of one job, seconds.
 _EVERY_S = 10.0
+_NAMELESS: Mapping[str, str] = MappingProxyType({})
 _OVER = (Stage.DONE, Stage.FAILED, Stage.BLOCKED)
 
 
 class Lines:
     """Says every event worth keeping as one line on the console: started, evaluated, failed, done."""
 
-    def __init__(self, console: Console, layout: Layout, jobs: Sequence[Job]) -> None:
+    def __init__(
+        self, console: Console, layout: Layout, jobs: Sequence[Job], experiment_of: Mapping[str, str] = _NAMELESS
+    ) -> None:
+        """Args: experiment_of: the experiment of each job."""
         self.console = console
         self.over = 0  #: jobs done or failed
         self.total = len(jobs)
         self._layout = layout
         self._jobs = {job.id: job for job in jobs}
         self._said: dict[str, float] = {}
+        self._experiment_of = experiment_of
+        self._open: set[tuple[str, int]] = set()  # runs and steps of the sessions that people were told of
+        self._told = -_EVERY_S  # when that was
 
     def started(self, job: str, attempt: int) -> None:
         self.say(job, f"started, attempt {attempt}" if attempt > 1 else "started")
@@ -55,6 +65,8 @@ class Lines:
                 self.say(job, f"done ({self.over} of {self.total})", style="green")
             case Stage.STOPPED:
                 self.say(job, "stopped; it goes on from its checkpoint", style="yellow")
+            case Stage.ELSEWHERE if error:
+                self.say(job, f"waits for {error}", style="yellow")
             case Stage.ELSEWHERE:
                 self.say(job, "is run by another process", style="dim")
             case Stage.BLOCKED:
@@ -76,6 +88,13 @@ class Lines:
             soft_wrap=True,
         )
 
+    def asked(self, sessions: Sequence[OpenSession]) -> None:
+        now = {(session.run, session.step) for session in sessions}
+        if now - self._open and time.monotonic() - self._told >= _EVERY_S:
+            self._open, self._told = now, time.monotonic()
+            for line in progress.awaited(sessions, self._experiment_of, self._layout.root):
+                self.console.print(line, style="yellow", soft_wrap=True)
+
     def tick(self) -> None:
         """Nothing moves."""
 
@@ -87,8 +106,10 @@ class Lines:
 class Bars(Lines):
     """Lines, and below them a bar for each running job and one for all."""
 
-    def __init__(self, console: Console, layout: Layout, jobs: Sequence[Job]) -> None:
-        super().__init__(console, layout, jobs)
+    def __init__(
+        self, console: Console, layout: Layout, jobs: Sequence[Job], experiment_of: Mapping[str, str] = _NAMELESS
+    ) -> None:
+        super().__init__(console, layout, jobs, experiment_of)
         self.progress = Progress(
             TextColumn("{task.description}", markup=False),
             BarColumn(),
@@ -104,6 +125,7 @@ class Bars(Lines):
         self._add = partial(self.progress.add_task, rate="", score="", left="")
         self._all = self._add("", total=self.total)
         self._steps_done = 0  # of finished jobs
+        self._waiting = ""  # what people are asked, in words
         self._rates: dict[str, float] = {}
 
     def started(self, job: str, attempt: int) -> None:
@@ -130,13 +152,19 @@ class Bars(Lines):
         if phase in _OVER:
             self._steps_done += self._jobs[job].steps
 
+    def asked(self, sessions: Sequence[OpenSession]) -> None:
+        super().asked(sessions)
+        missing = sum(session.missing for session in sessions)
+        self._waiting = f"; {len(sessions)} wait for {missing:,} answers" if sessions else ""
+
     def tick(self) -> None:
         left, speed = "", sum(self._rates.values())
         if speed:  # that of the jobs that run now
             running = sum(task.completed for task in self.progress.tasks if task.id != self._all)
             steps = sum(job.steps for job in self._jobs.values()) - self._steps_done - running
             left = duration(steps / speed / 3600)
-        self.progress.update(self._all, description=f"{self.over} of {self.total} runs", completed=self.over, left=left)
+        description = f"{self.over} of {self.total} runs{self._waiting}"
+        self.progress.update(self._all, description=description, completed=self.over, left=left)
         self.progress.refresh()
 
     def _update(self, job: str, **fields: object) -> None:

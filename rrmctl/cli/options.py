@@ -79,6 +79,26 @@ HangOption = Annotated[float, typer.Option(
     min=0.01, metavar="MINUTES",
     help="A job that shows no progress for so long is ended and goes on from its checkpoint.",
 )]  # fmt: skip
+ExecutorOption = Annotated[str, typer.Option(
+    metavar="local|slurm|ray",
+    help="Who runs the jobs: processes here, job arrays that are submitted to Slurm, or the nodes of a Ray cluster.",
+)]  # fmt: skip
+SlurmOption = Annotated[list[str] | None, typer.Option(
+    "--slurm", metavar="FLAG", help="A flag of sbatch as it stands, e.g. --slurm=--account=x. Repeatable.",
+)]  # fmt: skip
+AtOnceOption = Annotated[int | None, typer.Option(
+    min=1, metavar="N", help="With slurm: tasks of an array at a time; with ray: runs at a time. Default: all.",
+)]  # fmt: skip
+AddressOption = Annotated[str | None, typer.Option(
+    metavar="HOST:PORT",
+    help="With ray: the cluster's. Default: RAY_ADDRESS, else a cluster of this machine alone, while it lasts.",
+)]  # fmt: skip
+GpusOption = Annotated[float | None, typer.Option(
+    metavar="SHARE", help="With ray: of a card, for each run on one, e.g. 0.25. Default: 1.",
+)]  # fmt: skip
+PackOption = Annotated[
+    int | None, typer.Option(min=1, metavar="K", help="With slurm: runs of a task, for short ones. Default: 1.")
+]
 RetryOption = Annotated[bool, typer.Option("--retry-failed", help="Try failed runs again, from their checkpoint.")]
 UntilDecidedOption = Annotated[
     bool,

@@ -10,7 +10,7 @@ import typer
 
 from rrm.hardware import usable_cores
 from rrmctl.cli import options
-from rrmctl.cli.request import Forecast, Request, advise, duration, forecast, in_words
+from rrmctl.cli.request import Forecast, Request, advise, beside, duration, forecast, in_words
 from rrmctl.errors import Exit, UserError
 from rrmctl.terminal import stdout_console
 
@@ -102,7 +102,7 @@ def plan(
             name: getattr(plan, name) for name in ("experiment", "profile", "variant", "overrides")
         }
         about |= {"core_hours": sum(expected.seconds.values()) / 3600, "core_hours_left": expected.hours_left}
-        for part in ("jobs", "needed"):
+        for part in ("jobs", "needed", "deployments"):
             about[part] = [
                 asdict(job) | {"state": str(expected.states[job.id].state), "core_seconds": expected.seconds[job.id]}
                 for job in getattr(plan, part)
@@ -117,9 +117,8 @@ def plan(
     console.print(_table(expected, by_job=by_job))
     states = ("done", "running", "interrupted", "failed", "blocked", "unreadable")
     there = ", ".join(f"{expected.count(state)} {state}" for state in states if expected.count(state))
-    more = f" and {len(plan.needed)} that they need" if plan.needed else ""
     words = in_words(expected, usable_cores())
-    console.print(f"\n{len(plan.jobs)} jobs{more}, {there or 'none run yet'}. {words}")
+    console.print(f"\n{len(plan.jobs)} jobs{beside(plan)}, {there or 'none run yet'}. {words}")
     advise(console, request, expected, 0.0)
 
 

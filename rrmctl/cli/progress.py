@@ -9,8 +9,12 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 from rrmctl.cli.request import duration
+from rrmctl.commands import rrmctl
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
+    from rrmctl.store.labels import OpenSession
     from rrmctl.store.status import Status
     from rrmctl.store.sweeps import Job, SweepRecord
 
@@ -93,6 +97,28 @@ def errors(jobs: Iterable[Job], states: Mapping[str, Status]) -> dict[str, list[
         if status.state in ("failed", "blocked", "unreadable"):
             stopped[str(status.error or "no reason was recorded")].append(job)
     return dict(sorted(stopped.items(), key=lambda item: -len(item[1])))
+
+
+def awaited(sessions: Iterable[OpenSession], experiment_of: Mapping[str, str], results: str | Path) -> list[str]:
+    """What people are waited for, a line an experiment, with the command that asks them.
+
+    Args: experiment_of: the experiment of each run.
+    """
+    by_experiment: defaultdict[str, list[OpenSession]] = defaultdict(list)
+    for session in sessions:
+        by_experiment[experiment_of[session.run]].append(session)
+    lines = []
+    for name, open_ in by_experiment.items():
+        who = f"{runs(len(open_))} wait{'s' if len(open_) == 1 else ''}"
+        missing = sum(session.missing for session in open_)
+        what = f"for {missing:,} answer{'s' if missing != 1 else ''}" if missing else "until no answer can be undone"
+        lines.append(f"{who} {what}: {rrmctl('label', name, results=results)}")
+    return lines
+
+
+def experiments(sweeps: Iterable[SweepRecord]) -> dict[str, str]:
+    """The name of one experiment for each run."""
+    return {job.id: sweep.experiment for sweep in sweeps for job in sweep.everything}
 
 
 def runs(count: int) -> str:

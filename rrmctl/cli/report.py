@@ -201,15 +201,15 @@ def plot(
     modules = {figure: choose(entries, figure, "figure").load() for figure in wanted or entries}
     settings = Statistics(kind=kind.value, last=evaluations(final), replicates=replicates, width=width.value)
     sections = of_profile(read_sections(results, name, allow_mixed=allow_mixed), profile)
-    for section in (section for section in sections if not section.contained):
-        tell(f"note: {section.experiment}, profile {section.profile}: no run to draw yet", err=True)
-    for section in (section for section in sections if section.contained):
+    for section in sections:
         where = f"{section.experiment}, profile {section.profile}"
-        for figure, module in modules.items():
-            if not module.suits(section):
-                if wanted:
-                    tell(f"note: {where}: nothing to draw in the figure {figure}", err=True)
-                continue
+        suiting = {figure: module for figure, module in modules.items() if module.suits(section)}
+        if not section.contained:
+            tell(f"note: {where}: no run to draw yet", err=True)
+        elif wanted:
+            for figure in (figure for figure in modules if figure not in suiting):
+                tell(f"note: {where}: nothing to draw in the figure {figure}", err=True)
+        for figure, module in suiting.items():
             try:
                 drawn = module.draw(section, settings)
             except UserError as error:

@@ -105,11 +105,16 @@ def introduce(console: Console, request: Request, expected: Forecast, slots: int
     plan, count = expected.plan, len(expected.plan.jobs)
     counts = {"done already": expected.count("done"), "failed": expected.count("failed")}
     states = "".join(f", {number} {state}" for state, number in counts.items() if number)
-    more = f" and {len(plan.needed)} that they need" if plan.needed else ""
-    heading = f"{plan.experiment} ({plan.variant}): {count} run{'s' if count != 1 else ''}{more}{states}."
+    heading = f"{plan.experiment} ({plan.variant}): {count} run{'s' if count != 1 else ''}{beside(plan)}{states}."
     console.print(heading, style="bold", soft_wrap=True)
     console.print(in_words(expected, slots), soft_wrap=True)
     advise(console, request, expected, LARGE_H)
+
+
+def beside(plan: Plan) -> str:
+    """What is run beside the jobs: ` and 3 that they need`, ` and 4 deployments of theirs`."""
+    counts = ((len(plan.needed), "that they need"), (len(plan.deployments), "that deploy them"))
+    return "".join(f" and {count} {words}" for count, words in counts if count)
 
 
 def in_words(expected: Forecast, cores: int) -> str:

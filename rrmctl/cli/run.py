@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import contextlib
 import sys
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import fields, replace
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from rrm.hardware import usable_cores
 from rrmctl.cli import options
+from rrmctl.cli.executors import Options, Work, train
+from rrmctl.cli.label import labelling
 from rrmctl.cli.progress import runs
 from rrmctl.cli.request import LARGE_H, Request, forecast, introduce
 from rrmctl.cli.screen import drain, unfailing
@@ -45,6 +46,12 @@ def run(
     workers: options.WorkersOption = None,
     memory: options.MemoryOption = None,
     hang_after: options.HangOption = options.HANG_AFTER_MIN,
+    executor: options.ExecutorOption = "local",
+    slurm: options.SlurmOption = None,
+    at_once: options.AtOnceOption = None,
+    pack: options.PackOption = None,
+    address: options.AddressOption = None,
+    gpus: options.GpusOption = None,
     results: options.ResultsOption = options.DEFAULT_RESULTS,
     experiments: options.ExperimentsOption = None,
     retry_failed: options.RetryOption = False,
@@ -56,11 +63,18 @@ def run(
     max_seeds: options.MaxSeedsOption = None,
     group: options.GroupOption = None,
     against: options.AgainstOption = None,
+    label: Annotated[
+        bool, typer.Option("--label", help="Serve the questions to people beside it, as `rrmctl label NAME` does.")
+    ] = False,
 ) -> None:
     """Run an experiment, or go on with it: runs that are done are skipped, interrupted ones continue.
 
     Ctrl-C once lets every job write a checkpoint and leave; twice ends them at once. Any number of `run`s may share a
     results folder: they divide the jobs between them.
+
+    With --executor slurm, what is neither done nor queued nor running is submitted as job arrays, and the command
+    leaves, with 75 until all is done: `rrmctl status NAME` tells how far it is, and the same command submits what was
+    lost. With --executor ray, the nodes of a cluster run them while the command lasts. docs/cluster.md has both.
 
     With --until-decided every method is compared with one of them on every task, by its seeds' mean scores over
     training, after each group of seeds; what is decided runs no further seeds. The probability of any wrong decision is
@@ -77,23 +91,32 @@ def run(
       rrmctl run toy-car --set agent.batch=256 --prior my_priors.py:closer
 
       rrmctl run toy-car --until-decided --max-seeds 20 --against pebble
+
+      rrmctl run main-results --executor slurm --slurm=--account=x --slurm=--time=8:00:00
+
+      rrmctl run main-results --executor ray --address head:6379
     """
     from rrmctl.cli.until_decided import asked_rules, until_decided
     from rrmctl.running.supervisor import Terms
+    from rrmctl.store.drivers import driving
     from rrmctl.store.layout import new_results
     from rrmctl.store.status import Status, statuses
     from rrmctl.store.sweeps import readable_sweeps
 
     screen = console(unfailing(sys.stderr))
+    how = Options(
+        executor=executor, workers=workers, memory=memory, hang_after=hang_after, label=label,
+        slurm=slurm, at_once=at_once, pack=pack, address=address, gpus=gpus,
+    )  # fmt: skip
     rules = asked_rules(until, max_seeds, group, against, other=seeds is not None or force)
     seeds = str(rules.most) if rules else seeds
     request = Request(name, experiments, profile, seeds, tasks, methods, overrides, prior)
     layout = new_results(results)
     plan = request.plan()
     note_damage(readable_sweeps(layout)[1])
-    slots = workers or _slots(config.threads for config in plan.configs.values())
+    slots = how.slots((config.threads for config in plan.configs.values()), len(plan.everything))
     expected = forecast(plan, layout)
-    anew = {job.id for job in plan.jobs} if force else set()
+    anew = {job.id for job in (*plan.jobs, *plan.deployments)} if force else set()
     before = replace(expected, states=dict.fromkeys(expected.states, Status())) if force else expected
     introduce(screen, request, before, slots)
     if rules:
@@ -102,9 +125,9 @@ def run(
     def wanted(job: Job, status: Status) -> bool:
         return job.id in anew or _is_open(status, retry_failed=retry_failed)
 
-    _require_opengl(
-        plan.configs[job.id].needs_opengl for job in plan.everything if wanted(job, expected.states[job.id])
-    )
+    drain(screen.file)
+    begun = [plan.configs[job.id] for job in plan.everything if wanted(job, expected.states[job.id])]
+    _require((config.task for config in begun), (config.needs_opengl for config in begun if how.local))
 
     def execute(part: Plan) -> tuple[Exit, SweepRecord]:
         sweep, states = _record(screen, layout, part), statuses(layout, part.everything)
@@ -113,15 +136,15 @@ def run(
             for job in part.everything
             if wanted(job, states[job.id])
         }
-        return _train(screen, layout, assigned, slots, memory, hang_after), sweep
+        return train(Work(screen, layout, assigned, [sweep]), how), sweep
 
-    drain(screen.file)
     large = expected.hours_left > LARGE_H and any(wanted(job, expected.states[job.id]) for job in plan.everything)
     if large and not yes and _asks() and not typer.confirm("Start?", err=True):
         raise typer.Exit(Exit.INCOMPLETE)
-    code, sweep = until_decided(layout, plan, rules, execute) if rules else execute(plan)
+    with driving(layout, [plan.experiment], how.again), labelling(name, layout) if label else contextlib.nullcontext():
+        code, sweep = until_decided(layout, plan, rules, execute) if rules else execute(plan)
     drain(screen.file)
-    finish(layout, code, [sweep], closing=plan.manifest.closing)
+    finish(layout, code, [sweep], closing=plan.manifest.closing, again=how.again)
 
 
 @resumable()
@@ -132,6 +155,12 @@ def resume(
     workers: options.WorkersOption = None,
     memory: options.MemoryOption = None,
     hang_after: options.HangOption = options.HANG_AFTER_MIN,
+    executor: options.ExecutorOption = "local",
+    slurm: options.SlurmOption = None,
+    at_once: options.AtOnceOption = None,
+    pack: options.PackOption = None,
+    address: options.AddressOption = None,
+    gpus: options.GpusOption = None,
     results: options.ResultsOption = options.DEFAULT_RESULTS,
     retry_failed: options.RetryOption = False,
     trust: Annotated[
@@ -144,10 +173,15 @@ def resume(
     """
     from rrmctl.running.config_file import code_files, needs_opengl
     from rrmctl.running.supervisor import Terms
+    from rrmctl.store.drivers import driving
     from rrmctl.store.provenance import read_config
     from rrmctl.store.snapshot import Snapshot
 
     screen = console(unfailing(sys.stderr))
+    how = Options(
+        executor=executor, workers=workers, memory=memory, hang_after=hang_after,
+        slurm=slurm, at_once=at_once, pack=pack, address=address, gpus=gpus,
+    )  # fmt: skip
     store = Snapshot(results, name, lenient=True)
     note_damage(store.damage)
     if not store.sweeps:
@@ -163,27 +197,24 @@ def resume(
         screen.print(f"configurations are missing; this makes them, and the runs: {command}", soft_wrap=True)
     assigned: dict[Job, Terms] = {}
     code_of_users: dict[str, str] = {}  # digests by path
-    drawing = []  # whether the runs need OpenGL
+    tasks, drawing = [], []  # and whether the runs need OpenGL
     for run, job in left.items():
         threads = 1
         with contextlib.suppress(UserError):  # the run's own worker refuses it with this message; the others go on
             config = read_config(store.layout.run(run))
             code_of_users |= code_files(config)
             threads = int(config["threads"])
+            tasks.append(str(config.get("task")))
             drawing.append(needs_opengl(store.layout.run(run), config))
         if run not in gone:
             assigned[job] = Terms(threads=threads, attempt=store.states[run].attempt)
-    require_trust(results, code_of_users, trust=trust, asks=_asks())
-    slots = workers or _slots(terms.threads for terms in assigned.values())
-    _require_opengl(drawing)
-    code = _train(screen, store.layout, assigned, slots, memory, hang_after)
     drain(screen.file)
-    finish(store.layout, code, store.sweeps, damaged=bool(store.damage or gone))
-
-
-def _slots(threads: Iterable[int]) -> int:
-    """As many jobs at a time as the cores allow when each keeps its threads busy."""
-    return max(1, usable_cores() // max(threads, default=1))
+    require_trust(results, code_of_users, trust=trust, asks=_asks())
+    _require(tasks, drawing if how.local else ())
+    with driving(store.layout, {sweep.experiment for sweep in store.sweeps}, how.again):
+        code = train(Work(screen, store.layout, assigned, store.sweeps), how)
+    drain(screen.file)
+    finish(store.layout, code, store.sweeps, damaged=bool(store.damage or gone), again=how.again)
 
 
 def _is_open(status: Status, *, retry_failed: bool) -> bool:
@@ -191,9 +222,13 @@ def _is_open(status: Status, *, retry_failed: bool) -> bool:
     return status.state != "done" and (status.state not in ("failed", "blocked") or retry_failed)
 
 
-def _require_opengl(needed: Iterable[bool]) -> None:
-    """Refuse runs that need it where there is none: they would all fail."""
-    if any(needed):
+def _require(tasks: Iterable[str], opengl: Iterable[bool]) -> None:
+    """Refuse runs whose simulator or OpenGL is not here: they would all fail."""
+    from rrm.envs.tasks import TASKS, require
+
+    for name in sorted(TASKS.keys() & set(tasks)):
+        require(TASKS[name])
+    if any(opengl):
         from rrm.rendering import renderer
 
         renderer()
@@ -227,24 +262,3 @@ def _record(console: Console, layout: Layout, plan: Plan) -> SweepRecord:
     for note in filter(None, notes):
         console.print(f"note: {note}", soft_wrap=True)
     return sweep
-
-
-def _train(
-    console: Console, layout: Layout, assigned: Mapping[Job, Terms], slots: int, memory: float | None, hang_after: float
-) -> Exit:
-    """Run the jobs, shown as bars at a terminal and as lines elsewhere. Memory in GiB, `hang_after` in minutes."""
-    from rrmctl.cli.live import Bars, Lines
-    from rrmctl.running.local import LocalExecutor
-    from rrmctl.running.supervisor import Supervisor
-
-    if not assigned:
-        return Exit.DONE
-    memory_limit = None if memory is None else int(memory * 2**30)
-    executor = LocalExecutor(layout=layout, memory_limit=memory_limit, hang_after_s=hang_after * 60.0)
-    watched = sys.stderr.isatty() and not console.is_dumb_terminal
-    watcher = (Bars if watched else Lines)(console, layout, list(assigned))
-    with watcher.progress if isinstance(watcher, Bars) else contextlib.nullcontext():
-        return Supervisor(
-            layout=layout, jobs=list(assigned), terms={job.id: terms for job, terms in assigned.items()}, slots=slots,
-            watcher=watcher, executor=executor, asked=["rrmctl", *sys.argv[1:]],
-        ).run()  # fmt: skip

@@ -7,10 +7,12 @@ from __future__ import annotations
 
 import atexit
 import contextlib
+import json
 import queue
 import threading
 import time
-from typing import TextIO
+from collections.abc import Mapping
+from typing import Any, TextIO
 
 import typer
 
@@ -67,6 +69,12 @@ def drain(stream: object) -> None:
     """Before something is written elsewhere that should stand below: wait for a `Screen`; others do not keep back."""
     if isinstance(stream, Screen):
         stream.drain()
+
+
+def plain_json(facts: Mapping[str, Any]) -> str:
+    """For programs: what is no number is null."""
+    plain = json.loads(json.dumps(facts), parse_constant=lambda _: None)
+    return json.dumps(plain, indent=1, allow_nan=False)
 
 
 def tell(text: str, *, err: bool = False) -> None:

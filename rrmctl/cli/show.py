@@ -11,8 +11,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from rrm.files import place, write_atomically
+from rrmctl.cli.deploy import told
 from rrmctl.cli.options import DEFAULT_RESULTS, ResultsOption
-from rrmctl.cli.screen import tell
+from rrmctl.cli.screen import plain_json, tell
 from rrmctl.cli.status import note_damage
 from rrmctl.cli.summary import rerun_command
 from rrmctl.errors import UserError
@@ -34,22 +35,42 @@ def show(
         Path | None,
         typer.Option("--frames", parser=place, metavar="FILE", help="Write what its agent sees there, as PNG."),
     ] = None,
+    film: Annotated[
+        Path | None,
+        typer.Option("--film", parser=place, metavar="FILE", help="Film an episode of its policy: .webm or .mp4."),
+    ] = None,
+    checkpoint: Annotated[
+        int | None, typer.Option("--checkpoint", min=1, metavar="STEP", help="Film what it did after this step.")
+    ] = None,
+    episode: Annotated[
+        int | None, typer.Option("--episode", min=0, metavar="N", help="Film this one of the evaluation, from 0 on.")
+    ] = None,
+    cameras: Annotated[
+        bool, typer.Option("--cameras", help="Film an arm at the simulated workplace, by the cameras there.")
+    ] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON for programs.")] = False,
 ) -> None:
     """Show one run: what it is, where it stands, what it ran with, its last evaluations and the end of its log.
 
     With --frames, what the agent of a run on pictures sees: of those it has stored, or of an episode of random actions.
+    With --film, an episode of its policy, as its evaluation plays it; with --cameras, as `rrmctl deploy` does.
     """
     from rrmctl.store.layout import find_run, open_results
 
+    if film is None and (cameras or checkpoint is not None or episode is not None):
+        raise UserError("--checkpoint, --episode and --cameras say what to film", "name a file with --film")
     layout = open_results(results)
     if frames is not None:
         _draw(find_run(layout, run), frames)
+    if film is not None:
+        from rrmctl.running import film as films
+
+        tell(f"{film}: {films.film(find_run(layout, run), film, checkpoint, episode or 0, cameras=cameras)}")
+    if frames is not None or film is not None:
         return
     facts = _facts(layout, find_run(layout, run), lines)
     if as_json:
-        plain = json.loads(json.dumps(facts), parse_constant=lambda _: None)  # what is no number is null
-        typer.echo(json.dumps(plain, indent=1, allow_nan=False))
+        typer.echo(plain_json(facts))
         return
     console = stdout_console()
     for title, text in _sections(facts).items():
@@ -73,6 +94,7 @@ def _draw(folder: RunFolder, path: Path) -> None:
 
 def _facts(layout: Layout, folder: RunFolder, lines: int) -> dict[str, Any]:
     """What there is to know, as JSON has it; what could not be read is null, and why stands in `damage`."""
+    from rrmctl.running.deployments import deployed, kept
     from rrmctl.store.curve import read_curve
     from rrmctl.store.provenance import read_config, read_provenance
     from rrmctl.store.status import log_tail, run_status
@@ -108,6 +130,8 @@ def _facts(layout: Layout, folder: RunFolder, lines: int) -> dict[str, Any]:
         "config": read("config", lambda: read_config(folder)),
         "provenance": read("provenance", lambda: read_provenance(folder)),
         "evaluations": read("evaluations", last_rows),
+        "networks": kept(folder),
+        "deployments": read("deployments", lambda: deployed(folder)),
         "log": log_tail(folder, lines) if lines else [],
         "again": [rerun_command(layout, s, job) for s in sweeps for job in s.jobs if job.id == folder.id],
         "damage": damage,
@@ -128,9 +152,15 @@ def _sections(facts: Mapping[str, Any]) -> dict[str, str]:
         "configuration": damage.get("config") or json.dumps(facts["config"], indent=1),
         "provenance": damage.get("provenance") or (json.dumps(made_by, indent=1) if made_by else ""),
         "last evaluations": damage.get("evaluations") or "\n".join(map(_row, facts["evaluations"])),
+        "networks kept": f"of steps {', '.join(map(str, facts['networks']))}" if facts["networks"] else "",
+        "deployments": damage.get("deployments") or "\n".join(map(_deployed, facts["deployments"])),
         "end of the log": "\n".join(facts["log"]),
         "again, from nothing": "\n".join(facts["again"]),
     }
+
+
+def _deployed(policy: Mapping[str, Any]) -> str:
+    return f"step {policy['step']:>9,}  {told(policy)}  ({policy['file']})"
 
 
 def _row(row: Mapping[str, Any]) -> str:

@@ -23,8 +23,8 @@ class _LeaveError(BaseException):
 
 
 @contextlib.contextmanager
-def resumable() -> Iterator[None]:
-    """Decorates a command: SIGTERM and SIGINT end it with the exit code for "incomplete"."""
+def resumable(*, err: bool = False) -> Iterator[None]:
+    """Decorates a command: SIGTERM and SIGINT end it with the exit code for "incomplete"; `err`: said there."""
     if threading.current_thread() is not threading.main_thread():  # Python allows handlers nowhere else
         yield
         return
@@ -32,7 +32,7 @@ def resumable() -> Iterator[None]:
     try:
         yield
     except _LeaveError:
-        tell("Not complete: the same command goes on.")
+        tell("Not complete: the same command goes on.", err=err)
         raise typer.Exit(Exit.INCOMPLETE) from None
     except Exception as error:
         if (room := room_error(error)) is None:

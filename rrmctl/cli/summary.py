@@ -23,8 +23,9 @@ if TYPE_CHECKING:
 
 
 def finish(
-    layout: Layout, code: Exit, sweeps: Sequence[SweepRecord], *, damaged: bool = False, closing: str | None = None
-) -> None:
+    layout: Layout, code: Exit, sweeps: Sequence[SweepRecord], *, damaged: bool = False, closing: str | None = None,
+    again: Sequence[str] = (),
+) -> None:  # fmt: skip
     """Write the curves' aggregates, say how it ended and what to do next, and leave with the exit code.
 
     The runs are what counts: what goes wrong here is said in a line, and changes no exit code.
@@ -34,6 +35,7 @@ def finish(
         sweeps: what the command was about.
         damaged: a sweep could not be read, so that nobody knows whether all is done.
         closing: of the manifest, said where all is done.
+        again: options that have `resume` run things in the same way.
     """
     from rrmctl.store.status import statuses
 
@@ -56,20 +58,23 @@ def finish(
     if code is Exit.DONE and (lost or damaged or "failed" in states):
         code = Exit.FAILED
     only = names if len(names) == 1 else ()
+    again = ("resume", *only, *again)
     match code:
         case Exit.DONE:
             tell("All done. Next:")
             for name in names:
                 tell(f"  {command('report', 'iqm', name)}\n  {command('plot', name)}")
+            for name in dict.fromkeys(sweep.experiment for sweep in sweeps if sweep.deployments):
+                tell(f"  {command('report', 'sim-to-real', name)}")
             if closing:
                 tell(f"\n{closing}\n")
         case Exit.FAILED if "failed" in states:
             tell(f"Some runs failed. Why: {command('status', *only, '--failed')}")
-            tell(f"Try them again: {command('resume', *only, '--retry-failed')}")
+            tell(f"Try them again: {command(*again, '--retry-failed')}")
         case Exit.FAILED:
             tell("Not all is there; see above.")
         case _:
-            tell(f"Not complete; this goes on where it stopped: {command('resume', *only)}")
+            tell(f"Not complete; this goes on where it stopped: {command(*again)}")
     raise typer.Exit(code)
 
 

@@ -114,11 +114,14 @@ def until_decided(
 
 def _part(plan: Plan, seeds: Iterable[int], pairs: Iterable[Pairing]) -> Plan:
     """The jobs of these seeds that the pairs need, and what those need."""
-    from rrmctl.store.sweeps import required
+    from rrmctl.store.sweeps import deployments_of, required
 
     wanted = {Label(pair.task, method, *teaching) for pair in pairs for method in (pair.method, pair.against)
               for teaching in ((pair.teacher, pair.feedback), ())}  # fmt: skip
     chosen = set(seeds)
     jobs = [job for job in plan.jobs if job.seed in chosen and job.row in wanted]
     needed = required(jobs, plan.everything)
-    return replace(plan, jobs=tuple(jobs), needed=tuple(job for job in plan.needed if job.id in needed))
+    return replace(
+        plan, jobs=tuple(jobs), needed=tuple(job for job in plan.needed if job.id in needed),
+        deployments=deployments_of(jobs, plan.deployments),
+    )  # fmt: skip

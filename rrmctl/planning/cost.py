@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rrm.config import AIRL, DrqConfig
+from rrm.training.kinds import DemosConfig, DeploymentConfig
 from rrmctl.planning.toml import read_toml
 
 if TYPE_CHECKING:
@@ -62,7 +63,11 @@ def tabled_seconds(config: Config, speed: float) -> float:
     """Seconds of one run from nothing to its end, by the table, on a core of this `core_speed`."""
     spec = config.spec()
     step = _COSTS["step"].get(spec.name) or _COSTS["step"].get(spec.suite, _COSTS["step"]["unknown"])
-    if config.kind == "demos":
+    if isinstance(config, DeploymentConfig):
+        pixels = config.rig.width * config.rig.height / (640 * 480)
+        played = len(config.checkpoints) * config.episodes * config.policy.episode_steps
+        return float(_COSTS["start"] + played * (step + _COSTS["deploy"]["moment"] * pixels)) / 1000
+    if isinstance(config, DemosConfig):
         return float(_COSTS["start"] + config.steps * step) / 1000
     agent, reward, feedback = config.agent, config.reward, config.feedback
     learner = _COSTS["learner"].get(reward.learner, _COSTS["learner"]["default"])

@@ -24,7 +24,7 @@ from rrm.envs.tasks import TASKS
 from rrm.teachers import TEACHERS
 from rrm.training.run_config import RunConfig
 from rrmctl.errors import UserError, check_known
-from rrmctl.labels import NOTHING_ASKED, Schedule
+from rrmctl.labels import HUMAN, NOTHING_ASKED, Schedule
 from rrmctl.planning.manifest import DEFAULT_FEEDBACK, Axis, Grid, Manifest
 from rrmctl.planning.methods import TASK, Method
 from rrmctl.planning.profiles import PAPER, PATH, ProfileKind, profiles
@@ -44,6 +44,7 @@ AMOUNTS = (
     "evaluation.every",
     *(f"reward.{name}.{amount}" for name, section in RewardConfig.own().items() for amount in section.amounts),
     "agent.stddev_steps", "agent.perturb_every",
+    "deploy.checkpoints",
     "imitation.steps", "imitation.seed_steps", "imitation.every", "imitation.window", "imitation.switch",
 )  # fmt: skip
 
@@ -180,6 +181,13 @@ def profile_layers(scale: str, task: str, kind: ProfileKind) -> tuple[Layer, ...
     return tuple(layers)
 
 
+def teacher_label(row: GridRow, config: RunConfig) -> str:
+    """The teacher's name; people are called so also where a setting has put them in the place of one of ours."""
+    if config.teacher is None:
+        return NOTHING_ASKED
+    return HUMAN if config.teacher.kind != "scripted" and row.teacher in TEACHERS else row.teacher
+
+
 def feedback_label(manifest: Manifest, row: GridRow, config: RunConfig) -> str:
     """`50@5000/5000`: queries of a session, steps between sessions, queries in all; or that nothing is asked."""
     if config.feedback is None:
@@ -207,12 +215,19 @@ def _ratios(scale: str, task: str, kind: ProfileKind) -> dict[str, tuple[int, in
     return {name: (ours[name], paper[name]) if paper[name] else total for name in AMOUNTS}
 
 
+def _shrunk(amount: int, ours: int, paper: int) -> int:
+    return max((2 * amount * ours + paper) // (2 * paper), min(amount, 1))
+
+
 def _scaled(layer: Layer, ratios: Mapping[str, tuple[int, int]], scale: str) -> Layer:
     """The layer with its amounts as the profile has them, to the nearest integer; what was not zero stays so."""
     settings, written = dict(layer.settings), {}
     for name in settings.keys() & ratios.keys():
         value, (ours, paper) = settings[name], ratios[name]
-        settings[name] = max((2 * value * ours + paper) // (2 * paper), min(value, 1))
+        if isinstance(value, tuple):
+            settings[name] = tuple(_shrunk(each, ours, paper) for each in value)
+        else:
+            settings[name] = _shrunk(value, ours, paper)
         if settings[name] != value:
             written[name] = f"{value!r}, {settings[name]!r} in profile {scale},"
     return Layer(layer.where, settings, written)

@@ -9,18 +9,22 @@ from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from rrm.errors import RrmError
 from rrmctl.errors import UserError, check_known, shown
-from rrmctl.labels import NOTHING_ASKED, Label
-from rrmctl.planning.grid import GridRow, check, configure, feedback_label, rows_of
+from rrmctl.labels import Label, deployed
+from rrmctl.planning.grid import GridRow, check, configure, feedback_label, rows_of, teacher_label
 from rrmctl.planning.manifest import Manifest
 from rrmctl.planning.methods import Method, method, residual
-from rrmctl.planning.prerequisites import Config, supply
+from rrmctl.planning.prerequisites import FILES, Config, deployment_of, supply, taught
 from rrmctl.planning.profiles import profiles
 from rrmctl.planning.settings import parse_assignments
 from rrmctl.store.sweeps import Job, SweepRecord
+
+if TYPE_CHECKING:
+    from rrm.robot.config import DeployConfig
+    from rrm.training.run_config import RunConfig
 
 _MOST_SEEDS = 10_000
 _MOST_RUNS = 100_000  # some ten seconds of planning
@@ -80,29 +84,39 @@ def make_plan(
             f"a plan has at most {_MOST_RUNS:,}",
             "ask for fewer --seeds, or for some --tasks or --methods",
         )
-    cells: list[tuple[Job, Config]] = []
+    cells: list[tuple[Job, RunConfig, DeployConfig]] = []
     chains: dict[str, Config] = {}
-    named: dict[Label, Config] = {}
+    named: dict[Label, RunConfig] = {}
     for row in rows:
-        job, config, needed = _cell(manifest, row, (own | added)[row.method], scale, settings)
+        job, config, needed, after = _cell(manifest, row, (own | added)[row.method], scale, settings)
         if named.setdefault(job.row, config) != config:  # no report could tell them apart
             raise UserError(
                 f"{manifest.path}: two different runs are both called {' / '.join(job.row)}",
                 "give one of them a method name of its own: [method.NAME] with learner and prior",
             )
-        cells.append((job, config))
+        cells.append((job, config, after))
         chains |= {prerequisite.identity: prerequisite for prerequisite in needed}
     jobs: dict[str, Job] = {}
     configs: dict[str, Config] = {}
-    for seed, (job, config) in itertools.product(numbers, cells):
+    deployments: dict[str, Job] = {}
+    for seed, (job, config, after) in itertools.product(numbers, cells):
         seeded = config.model_copy(update={"seed": seed})
         run = seeded.identity
         if run not in jobs:
+            try:
+                seeded.check_answers()
+            except RrmError as error:
+                raise UserError(f"{manifest.path}: {error}") from None
             jobs[run], configs[run] = replace(job, id=run, seed=seed), seeded
+            if after.checkpoints:
+                deployment = deployment_of(seeded, after)
+                deployments[deployment.identity] = _job(deployment, job.row._replace(method=deployed(job.method)))
+                configs[deployment.identity] = deployment
     return Plan(
         experiment=manifest.name, profile=scale, overrides=settings, variant=variant(scale, settings),
         jobs=tuple(jobs.values()),
-        needed=tuple(_job(run, config) for run, config in chains.items() if run not in jobs),
+        needed=tuple(_job(config) for run, config in chains.items() if run not in jobs),
+        deployments=tuple(deployments.values()),
         configs=chains | configs, manifest=manifest, priors=tuple(str(new.prior) for new in added.values()),
     )  # fmt: skip
 
@@ -177,24 +191,31 @@ def _added(priors: Sequence[str], known: Mapping[str, Method]) -> dict[str, Meth
 
 def _cell(
     manifest: Manifest, row: GridRow, method: Method, scale: str, settings: dict[str, Any]
-) -> tuple[Job, Config, tuple[Config, ...]]:
-    """The row as a job of seed 0, its files read and digested once for all seeds; and what must run before it."""
+) -> tuple[Job, RunConfig, tuple[Config, ...], DeployConfig]:
+    """The row as a job of seed 0, its files read and digested once for all seeds; what must run before it; and how it
+    is deployed after it.
+    """
     try:
         # What --set names is seen from the command's folder, what the manifest names from its own.
-        folder = Path.cwd() if "imitation.demos" in settings else manifest.path.parent
-        supplied, needed = supply(configure(manifest, row, method, scale, settings), scale, folder)
+        folders = {name: Path.cwd() if name in settings else manifest.path.parent for name in FILES}
+        configured = taught(configure(manifest, row, method, scale, settings), manifest.name, folders)
+        supplied, needed = supply(configured, scale, folders["imitation.demos"])
         config = supplied.canonical()
     except RrmError as error:
         raise UserError(f"{manifest.path}: {row.task}, {row.method}: {error}") from None
-    teacher = NOTHING_ASKED if config.feedback is None else row.teacher
-    label = Label(row.task, row.method, teacher, feedback_label(manifest, row, config))
-    return _job("", config, label), config, needed
+    label = Label(row.task, row.method, teacher_label(row, config), feedback_label(manifest, row, config))
+    return _job(config, label), config, needed, configured.deploy
 
 
-def _job(run: str, config: Config, label: Label | None = None) -> Job:
+def _job(config: Config, label: Label | None = None) -> Job:
     """A run under this label; one that nothing reports is called by its method."""
     # An oracle that is only needed has a name of its own: the experiment's may be of another length.
     names = label or Label(config.task, "expert" if config.method == "oracle" else config.method)
     return Job(
-        id=run, cell=config.cell, **names._asdict(), seed=config.seed, steps=config.steps, requires=config.requires
+        id=config.identity,
+        cell=config.cell,
+        **names._asdict(),
+        seed=config.seed,
+        steps=config.steps,
+        requires=config.requires,
     )

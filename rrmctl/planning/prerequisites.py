@@ -1,24 +1,44 @@
-"""What a run needs before it can begin: an expert, its demonstrations, and the prior that is trained on them.
+"""What a run needs before it can begin: an expert, its demonstrations, and the prior that is trained on them; and what
+is done with it afterwards.
 
 The expert is the oracle's run of seed 0, and all seeds of all methods on a task share one prior, as in the paper. The
 chain is configured by the profile and by the section `imitation` of a run's settings, and looks and acts as the run
-does (camera, action repeat); by nothing else: two experiments that differ in their feedback share it.
+does (camera, action repeat, what varies); by nothing else: two experiments that differ in their feedback share it.
 """
 
 from __future__ import annotations
 
 import os
+from collections.abc import Mapping
 from pathlib import Path
 
 from rrm.config import AIRL, IMITATION, DrqConfig
 from rrm.errors import ConfigError
 from rrm.files import place
-from rrm.training.kinds import DemosConfig
+from rrm.robot.config import DeployConfig
+from rrm.training.kinds import DemosConfig, DeploymentConfig
 from rrm.training.run_config import RunConfig
 from rrmctl.planning.grid import profile_layers
 from rrmctl.planning.settings import resolve
 
-Config = RunConfig | DemosConfig
+Config = RunConfig | DemosConfig | DeploymentConfig
+
+#: Settings that name a file without code, whose place is told from a folder.
+FILES = ("imitation.demos", "teacher.labels")
+
+
+def taught(config: RunConfig, experiment: str, folders: Mapping[str, Path]) -> RunConfig:
+    """With what its teacher must know of the plan: the study that people take part in, and where their answers are.
+
+    Args: folders: those that `FILES` are named from.
+    """
+    teacher = config.teacher
+    if teacher is None or teacher.kind == "scripted":
+        return config
+    changes: dict[str, str] = {"study": teacher.study or experiment}
+    if teacher.labels is not None:
+        changes["labels"] = os.path.realpath(folders["teacher.labels"] / place(teacher.labels))
+    return config.model_copy(update={"teacher": teacher.model_copy(update=changes)})
 
 
 def supply(config: RunConfig, scale: str, folder: Path) -> tuple[RunConfig, tuple[Config, ...]]:
@@ -40,8 +60,10 @@ def supply(config: RunConfig, scale: str, folder: Path) -> tuple[RunConfig, tupl
     if config.reward.prior != IMITATION and not (config.from_demonstrations or config.borrows_encoder):
         return config, ()
     imitation = config.imitation
-    camera = {f"camera.{name}": value for name, value in config.camera.model_dump(exclude_defaults=True).items()}
-    world = {"action_repeat": config.action_repeat, **camera}
+    world: dict[str, object] = {"action_repeat": config.action_repeat}
+    for part in ("camera", "env"):
+        settings = getattr(config, part).model_dump(exclude_defaults=True)
+        world |= {f"{part}.{name}": value for name, value in settings.items()}
     needed: tuple[Config, ...] = ()
     if imitation.demos is not None:
         path = os.path.realpath(folder / place(imitation.demos))
@@ -70,6 +92,14 @@ def supply(config: RunConfig, scale: str, folder: Path) -> tuple[RunConfig, tupl
     if config.borrows_encoder:
         changes["agent"] = config.agent.model_copy(update={"encoder_run": prior.identity})
     return config.model_copy(update=changes), (*needed, prior)
+
+
+def deployment_of(policy: RunConfig, settings: DeployConfig) -> DeploymentConfig:
+    """What is done with the networks that a run keeps."""
+    return DeploymentConfig(
+        profile=policy.profile, task=policy.task, seed=policy.seed, threads=policy.threads, policy=policy,
+        episodes=settings.episodes, rig=settings.rig, precision=policy.precision,
+    )  # fmt: skip
 
 
 def _resolved(task: str, scale: str, learner: str, **decided: object) -> RunConfig:

@@ -16,7 +16,7 @@ from rrm.errors import RrmError, nearest
 from rrm.toml import NestingError, loads
 from rrm.training.run_config import CONFIG_VERSION as CONFIG_VERSION  # noqa: PLC0414 (for reports, which know no rrm)
 from rrm.training.run_config import RunConfig
-from rrmctl.errors import UserError, shown
+from rrmctl.errors import UserError, check_known, shown
 from rrmctl.planning.toml import refuse_odd
 
 #: Larger integers do not survive JSON and parquet.
@@ -24,6 +24,9 @@ _LARGEST = 2**53
 
 _AGENT = "agent."
 _KIND = f"{_AGENT}kind"
+
+_DEPLOY = "deploy."
+_RIG = f"{_DEPLOY}rig."
 
 #: Text that needs no quotes after --set: a word, or the path of a file.
 _BARE = re.compile(r"[\w-]+|[\w~./-]*[/.][A-Za-z][\w./-]*")
@@ -43,6 +46,7 @@ _DECIDED = {
     "reward.prior_run": "planning, from the settings in imitation",
     "agent.encoder_run": "planning, from the settings in imitation",
     "imitation.demos_digest": "planning, from the file's content",
+    "teacher.labels_digest": "planning, from the file's content",
     "imitation.demos_run": "planning, from the settings in imitation",
 }
 
@@ -232,6 +236,18 @@ def parse_assignments(assignments: Iterable[str]) -> dict[str, Any]:
                 f'--set {name}: unknown setting "{name}"{_suggestion(name)}', "rrmctl plan --help shows examples"
             )
     return {name: _checked(name, value, "--set") for name, value in settings.items()}
+
+
+def parse_rig(assignments: Iterable[str]) -> dict[str, Any]:
+    """`--set` arguments of a deployment, `rig.KEY=VALUE`, by the key in `RigConfig` and checked."""
+    given, known = list(assignments), [name.removeprefix(_DEPLOY) for name in fields() if name.startswith(_RIG)]
+    for text in given:
+        name = text.partition("=")[0].strip()
+        check_known(name, known, f'--set {name[:_LONGEST]}: unknown setting "{name[:_LONGEST]}"', "a rig has")
+        if "=" not in text:
+            raise UserError(f"--set {name}: expected rig.KEY=VALUE, e.g. --set rig.blur=2")
+    settings = parse_assignments(_DEPLOY + text.strip() for text in given)
+    return {name.removeprefix(_RIG): value for name, value in settings.items()}
 
 
 def _value(text: str, where: str) -> Any:

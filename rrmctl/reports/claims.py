@@ -1,4 +1,4 @@
-"""What the paper's prose says of its experiments on states, from `claims.toml`, as tests that a store can answer."""
+"""What the paper's prose says of its experiments, from `claims.toml`, as tests that a store can answer."""
 
 from __future__ import annotations
 

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from rrmctl.commands import run_commands
 from rrmctl.errors import UserError
-from rrmctl.labels import Label
+from rrmctl.labels import Label, policy
 from rrmctl.planning.settings import CONFIG_VERSION
 from rrmctl.reports.series import Section
 from rrmctl.store.layout import Layout
@@ -115,7 +115,7 @@ def refuse(section: Section, mixed: Mixture, layout: Layout) -> UserError:
     older = not set(stale) - {VERSION}  # a run of another version is another run
     commands = run_commands(
         section.experiment, section.profile, section.overrides,
-        [(made.label.task, made.label.method, made.seed) for made in anew],
+        [(made.label.task, policy(made.label.method), made.seed) for made in anew],
         asked=[asked_by(layout.run(made.run)) for made in anew],
         options=[] if older else ["--force"], results=layout.root,
     )  # fmt: skip
@@ -146,7 +146,7 @@ def configurations(label: Label, rows: pd.DataFrame) -> UserError | None:
 
 
 def _runs(section: Section) -> Iterator[Made]:
-    for series in section.series:
+    for series in (*section.series, *section.deployments):
         yield from (Made(series.label, seed, run) for seed, run in zip(series.seeds, series.runs, strict=True))
 
 

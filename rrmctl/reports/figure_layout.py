@@ -164,9 +164,11 @@ def from_frames(draw: Callable[[Section, Statistics], Figure]) -> Callable[..., 
     return drawn
 
 
-def one_section(rows: pd.DataFrame, jobs: pd.DataFrame | None) -> Section:
+def one_section(
+    rows: pd.DataFrame, jobs: pd.DataFrame | None, deployments: tuple[pd.DataFrame, pd.DataFrame] | None = None
+) -> Section:
     """The section of these frames; several are refused."""
-    read = sections(rows, jobs)
+    read = sections(rows, jobs, deployments=deployments)
     if len(read) != 1:
         which = ", ".join(f"{section.experiment}/{section.variant}" for section in read) or "none"
         raise UserError(f"a figure shows one variant of one experiment, not {which}", "filter the rows beforehand")

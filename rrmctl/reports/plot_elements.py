@@ -72,6 +72,12 @@ def score_axis(axes: Axes, score: str) -> None:
         axes.set_yticks(range(0, 101, 20))
 
 
+def preference_axis(axes: Axes, lowest: float) -> None:
+    """Shares of preferences in percent, with chance dotted; the lower half only where there is something in it."""
+    axes.axhline(50, color="#555555", linewidth=0.8, linestyle=(0, (1, 2)), zorder=1)
+    axes.set_ylim(min(45.0, lowest - 5.0), 101)
+
+
 def short_steps(steps: float) -> str:
     """A number of steps in short: 0, 500, 50k, 1.5M."""
     if abs(steps) >= 1e6:

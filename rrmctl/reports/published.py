@@ -40,6 +40,11 @@ def deployed_tasks() -> list[str]:
     return [name for name, value in _VALUES["sim-to-real"].items() if isinstance(value, dict)]
 
 
+def length(task: str) -> int:
+    """Steps of the paper's training of such a task."""
+    return int(_VALUES["sim-to-real"][task]["length"])
+
+
 def checkpoints(task: str, method: str) -> list[Checkpoint]:
     """The checkpoints of a task in that table, with NaN as values where it says nothing of the method."""
     table = _VALUES["sim-to-real"][task]

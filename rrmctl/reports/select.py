@@ -19,7 +19,7 @@ import numpy as np
 from rrm.envs.tasks import task
 from rrmctl.commands import rrmctl
 from rrmctl.errors import UserError
-from rrmctl.labels import Label
+from rrmctl.labels import Label, policy
 from rrmctl.reports import comparability
 from rrmctl.reports.comparability import Making
 from rrmctl.reports.series import SCORE_COLUMN, Absent, Section, Series, by_seed
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
 _VARIANT = ("experiment", "variant")
-_UNDER_WAY = ("running", "interrupted", "queued")
+_UNDER_WAY = ("running", "interrupted", "queued", "waiting")
 
 
 def read_sections(
@@ -53,14 +53,14 @@ def read_sections(
 
 def sections_of(store: Snapshot, *, allow_mixed: bool = False) -> tuple[Section, ...]:
     """The same of what has been read."""
-    jobs = store.planned()
-    rows = store.evaluations(jobs)
-    runs = dict.fromkeys([*rows["run"], *filter(store.begun, jobs["run"])])
+    jobs, deployed = store.planned(), store.deployments()
+    rows, played = store.evaluations(jobs), store.evaluations(deployed)
+    runs = dict.fromkeys([*rows["run"], *played["run"], *filter(store.begun, jobs["run"])])
     makings = {run: comparability.making(store, run) for run in runs}
     superseded = {(sweep.experiment, sweep.variant): len(sweep.superseded) for sweep in store.sweeps}
     evaluation = {cell: makings[run].config.get("evaluation") for cell, run in _distinct(rows, "cell", "run")}
     sections = []
-    for section in _split(rows, jobs, evaluation, makings):
+    for section in _split(rows, jobs, evaluation, makings, (played, deployed)):
         mixed = comparability.mixture(section, makings)
         differences = tuple(comparability.told(mixed))
         problems = [*section.problems]
@@ -79,14 +79,14 @@ def sections_of(store: Snapshot, *, allow_mixed: bool = False) -> tuple[Section,
 
 
 def of_profile(sections: Sequence[Section], profile: str | None) -> tuple[Section, ...]:
-    """The sections of this profile that have a run to show; of all profiles for None.
+    """The sections of this profile, some of which have a run or people's answers to show; of all profiles for None.
 
     Raises:
         UserError: there is none, the message says what is there instead; or the runs of one do not belong together.
     """
     check_profile(profile, (section.profile for section in sections))
     chosen = [section.accepted() for section in sections if profile in (None, section.profile)]
-    if not any(section.contained for section in chosen):
+    if not any(section.contained or section.answered for section in chosen):
         which = ", ".join(dict.fromkeys(section.experiment for section in chosen))
         states = Counter(absent.state for section in chosen for absent in section.absent)
         counts = ", ".join(f"{count} {state}" for state, count in states.items())
@@ -104,6 +104,7 @@ def sections(
     jobs: pd.DataFrame | None = None,
     *,
     evaluation: Mapping[str, Mapping[str, Any] | None] | None = None,
+    deployments: tuple[pd.DataFrame, pd.DataFrame] | None = None,
 ) -> tuple[Section, ...]:
     """Split the store's rows into sections that may each be reported as a whole.
 
@@ -111,13 +112,14 @@ def sections(
         rows: as `rrmctl.store.load` returns them.
         jobs: as `rrmctl.store.planned` returns them; without it the runs in `rows` are taken for the whole plan.
         evaluation: for each cell its evaluation settings (`success`, `deterministic`), where known.
+        deployments: rows and jobs among which those of their deployments are: `load` and `planned` with `needed`.
 
     Raises:
         UserError: one series holds runs of several configurations, or an unknown task.
     """
     if jobs is None:
         jobs = rows.drop_duplicates([*_VARIANT, *Label._fields, "run"]).assign(overrides="{}")
-    return tuple(section.accepted() for section in _split(rows, jobs, evaluation or {}, {}))
+    return tuple(section.accepted() for section in _split(rows, jobs, evaluation or {}, {}, deployments))
 
 
 def _split(
@@ -125,8 +127,9 @@ def _split(
     every_job: pd.DataFrame,
     evaluation: Mapping[str, Mapping[str, Any] | None],
     makings: Mapping[str, Making],
+    after: tuple[pd.DataFrame, pd.DataFrame] | None = None,
 ) -> Iterator[Section]:
-    """The sections, with those among them whose runs do not belong together."""
+    """The sections, with those among them whose runs do not belong together; `after`: rows and jobs of deployments."""
     for experiment, variant in _distinct(every_job, *_VARIANT):
         rows, jobs = (_where(table, _VARIANT, (experiment, variant)) for table in (every_row, every_job))
         problems: list[str] = []
@@ -140,6 +143,13 @@ def _split(
             series.append(_series(label, own, makings, problems, refusals, planned=len(planned)))
             states = planned[["seed", "run", "state"]].itertuples(index=False, name=None)
             absent += [Absent(label, *planned_run) for planned_run in states if planned_run[1] not in series[-1].runs]
+        deployments = []
+        if after is not None:
+            rows_after, jobs_after = (_where(table, _VARIANT, (experiment, variant)) for table in after)
+            after_jobs = (Label(*names) for names in _distinct(jobs_after, *Label._fields))
+            for label in (label for label in after_jobs if label.method != policy(label.method)):
+                planned, own = (_where(table, Label._fields, label) for table in (jobs_after, rows_after))
+                deployments.append(_series(label, own, makings, problems, refusals, planned=len(planned)))
         used = rows[rows["run"].isin([run for one in series for run in one.runs])]
         protocols = [
             _protocol(episodes, evaluation.get(cell)) for cell, episodes in _distinct(used, "cell", "episodes")
@@ -149,7 +159,7 @@ def _split(
             experiment=experiment, profile=str(first["profile"]), variant=variant,
             overrides=json.loads(first["overrides"]), series=tuple(series), absent=tuple(absent),
             planned=int(jobs["run"].nunique()), evaluation=tuple(dict.fromkeys(protocols)), problems=tuple(problems),
-            refusal=next(iter(refusals), None),
+            refusal=next(iter(refusals), None), deployments=tuple(deployments),
         )  # fmt: skip
 
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from rrm.envs.tasks import ScoreKind
 from rrmctl.errors import UserError
-from rrmctl.labels import Label, knows, panels
+from rrmctl.labels import Label, deployed, knows, panels
 from rrmctl.reports.styles import Looks, styles
 from rrmctl.stats import CommonStep, Floats, Steps, common_step
 from rrmctl.store.trials import Trial
@@ -122,6 +122,7 @@ class Section:
     refusal: UserError | None = None  #: why its runs do not belong together, unless a reader allowed it
     trial: Trial | None = None  #: the rules of the sequential test that was begun on it
     source: Layout | None = None  #: the store it was read from, for what runs leave beside their curves
+    deployments: tuple[Series, ...] = ()  #: of its policies, a step for each that was deployed; in no comparison
 
     def accepted(self) -> Section:
         """The section, where its runs belong together; else the error says why they do not."""
@@ -137,6 +138,19 @@ class Section:
     def contained(self) -> int:
         """Planned runs that are in it."""
         return len({run for series in self.series for run in series.runs})
+
+    def deployment(self, label: Label) -> Series | None:
+        """That of the policies of a series; None where it has none."""
+        name = label._replace(method=deployed(label.method))
+        return next((series for series in self.deployments if series.label == name), None)
+
+    @property
+    def answered(self) -> dict[str, str]:
+        """Planned runs whose queries people answered, with their tasks, whether or not they have an evaluation."""
+        tasks = {run: series.label.task for series in self.series for run in series.runs}
+        tasks |= {absent.run: absent.label.task for absent in self.absent}
+        source = self.source
+        return {run: task for run, task in tasks.items() if source and source.run(run).labels.is_file()}
 
     def panels(self) -> tuple[Panel, ...]:
         """The comparisons, in the order of the plan; those without any run are left out."""

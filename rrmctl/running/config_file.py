@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Iterator, Mapping
+from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,7 +14,7 @@ from rrmctl.store.layout import RunFolder
 from rrmctl.store.provenance import CONFIG_HINT, read_config
 
 if TYPE_CHECKING:
-    from rrm.training.run_config import JobConfig
+    from rrm.training.run_config import JobConfig, RunConfig
 
 _BACK = (
     "bring it back, then `rrmctl resume` goes on; or run the experiment again with the file where it is now: the same "
@@ -26,6 +28,9 @@ class MissingFileError(UserError):
 
 #: Keys beside those of the configuration.
 _LABELS = ("id", "cell", "method", "config_version", "kind", "steps")
+
+#: Settings that name files of the user's without code.
+_DATA = ("demos", "labels")
 
 
 def config_content(config: JobConfig) -> dict[str, Any]:
@@ -44,8 +49,9 @@ def load_config(folder: RunFolder) -> JobConfig:
     """
     from pydantic import ValidationError
 
-    from rrm.errors import ConfigError, UnknownNameError
+    from rrm.errors import ConfigError, LabelError, UnknownNameError
     from rrm.registry import file_digest
+    from rrm.teachers.labels import answers_digest
     from rrm.training.kinds import JOBS
     from rrm.training.run_config import CONFIG_VERSION
 
@@ -58,8 +64,8 @@ def load_config(folder: RunFolder) -> JobConfig:
         )
     for key, path, planned in _user_files(stored):  # another content would be another run
         try:
-            changed = file_digest(Path(path), key) != planned
-        except ConfigError as error:
+            changed = (answers_digest(Path(path)) if key == "labels" else file_digest(Path(path), key)) != planned
+        except (ConfigError, LabelError) as error:
             raise MissingFileError(str(error), _BACK) from error
         if changed:
             raise MissingFileError(f"{path} has changed since this run was planned with it", _BACK)
@@ -78,12 +84,32 @@ def load_config(folder: RunFolder) -> JobConfig:
     return config
 
 
+def load_run(folder: RunFolder) -> RunConfig:
+    """`load_config` of a run that trains a policy; a UserError where it does something else."""
+    from rrm.training.run_config import RunConfig
+
+    config = load_config(folder)
+    if not isinstance(config, RunConfig):
+        raise UserError(
+            f"run {folder.id} ({config.task}, {config.method}) trains no policy",
+            f"whose policy plays there: {', '.join(config.requires)}",
+        )
+    return config
+
+
 def needs_opengl(folder: RunFolder, stored: Mapping[str, Any]) -> bool:
     """Whether the run of this configuration, as it is stored, needs OpenGL. Raises as `load_config`."""
     from rrm.envs.tasks import TASKS
 
     task = TASKS.get(str(stored.get("task")))
     return task is not None and task.needs_opengl and load_config(folder).needs_opengl
+
+
+def on_card(folder: RunFolder) -> bool:
+    """Whether the run is trained on a graphics card; not where its configuration cannot be read."""
+    with contextlib.suppress(UserError):  # the run's own worker refuses it with this message
+        return bool(read_config(folder).get("device") == "cuda")
+    return False
 
 
 def code_files(stored: Mapping[str, Any]) -> dict[str, str]:
@@ -93,7 +119,7 @@ def code_files(stored: Mapping[str, Any]) -> dict[str, str]:
     """
     from rrm.registry import LANGUAGE
 
-    named = ((path, str(digest)) for key, path, digest in _user_files(stored) if key != "demos")
+    named = ((path, str(digest)) for key, path, digest in _user_files(stored) if key not in _DATA)
     return {path: digest for path, digest in named if not path.endswith(LANGUAGE)}
 
 
@@ -101,8 +127,10 @@ def _user_files(stored: Mapping[str, Any]) -> Iterator[tuple[str, str, Any]]:
     """Setting, path and planned digest of each file of the user's that a configuration names."""
     from rrm.registry import is_file_reference
 
-    for section, key in (("reward", "prior"), ("reward", "learner"), ("imitation", "demos")):
-        settings = stored.get(section) or {}
+    settings_of = (("reward", "prior"), ("reward", "learner"), ("imitation", "demos"), ("teacher", "labels"))
+    policy = stored.get("policy")  # of a deployment
+    for config, (section, key) in product((stored, policy) if isinstance(policy, dict) else (stored,), settings_of):
+        settings = config.get(section) or {}
         name = settings.get(key) if isinstance(settings, dict) else None
-        if isinstance(name, str) and (key == "demos" or is_file_reference(name)):
-            yield key, name if key == "demos" else name.rpartition(":")[0], settings.get(f"{key}_digest")
+        if isinstance(name, str) and (key in _DATA or is_file_reference(name)):
+            yield key, name if key in _DATA else name.rpartition(":")[0], settings.get(f"{key}_digest")

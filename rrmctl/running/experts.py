@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rrmctl.errors import UserError
-from rrmctl.running.config_file import load_config
+from rrmctl.running.config_file import load_run
 from rrmctl.store.status import RunState, run_status
 
 if TYPE_CHECKING:
@@ -23,16 +23,14 @@ def play_run(folder: RunFolder, episodes: int, seed: int, least_success: float) 
     """
     from rrm.buffers.frames import Frames
     from rrm.training.episodes import expert_policy
-    from rrm.training.run_config import RunConfig
 
     state = run_status(folder).state
     if state is not RunState.DONE:
         raise UserError(f"run {folder.id} is {state}", "demonstrations come from a run that is done")
-    config = load_config(folder)
-    if not isinstance(config, RunConfig):
-        raise UserError(f"run {folder.id} trains no policy: it is of kind {config.kind!r}", "name an oracle's run")
+    config = load_run(folder)
     source = {"source": "expert", "expert": config.identity, "expert_steps": config.steps, "method": config.method}
     options = {"seed": seed, "least_success": least_success, "source": source, "horizon": config.horizon}
+    options["ranges"] = config.env.ranges()
     frames = None if config.spaces.frames is None else Frames(config.spaces.frames)
     policy = expert_policy(config, folder.model)
     return _play(config.task, policy, episodes, frames=frames, repeat=config.action_repeat, **options)

@@ -60,7 +60,8 @@ def _stored(path: Path, space: FrameSpace) -> Sequence[Pixels]:
 def _played(config: RunConfig, space: FrameSpace) -> Sequence[Pixels]:
     from rrm.envs.observer import Observer
 
-    observer, rng = Observer(config.task, config.horizon, space, config.action_repeat), np.random.default_rng(0)
+    observer = Observer(config.task, config.horizon, space, config.action_repeat, config.env.ranges())
+    rng = np.random.default_rng(0)
     try:
         seen = [observer.reset(seed=0).frames]
         for _ in range(config.episode_steps // config.action_repeat - 1):

@@ -17,7 +17,7 @@ class Stage(StrEnum):
 
     WAITING = "waiting"
     RUNNING = "running"
-    ELSEWHERE = "elsewhere"  #: another process owns it; it will be done, or free again
+    ELSEWHERE = "elsewhere"  #: another process owns it, or people are asked; it will be done, or free again
     DONE = "done"
     FAILED = "failed"  #: see the error
     STOPPED = "stopped"  #: left in good order before its end; a later command goes on with it
@@ -136,7 +136,7 @@ class Scheduler:
         return blocked + [further for job in blocked for further in self.block(job)]
 
     def free(self, job: str) -> None:
-        """A job that ran elsewhere was given up there, or could not be started: it is the next to start here."""
+        """A job that ran elsewhere was given up there or has its answers, or could not be started: it is next."""
         self._leave(job)
         self._stages[job] = Stage.WAITING
         self._queue.appendleft(job)
@@ -154,7 +154,7 @@ class Scheduler:
 
     @property
     def elsewhere(self) -> list[str]:
-        """Jobs that other processes own."""
+        """Jobs that other processes own, or that people are asked for."""
         return sorted(self._elsewhere)
 
     def counts(self) -> Counter[Stage]:

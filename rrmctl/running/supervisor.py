@@ -1,7 +1,7 @@
 """The supervisor: sees every job of a command to its end, whoever runs it.
 
-It handles SIGINT and SIGTERM while it runs: the first asks every worker to checkpoint and leave, the second ends them
-at once.
+It handles SIGINT and SIGTERM while it runs: the first asks every worker to checkpoint and leave; a SIGINT after it ends
+them at once, unless the supervisor is `patient`. Programs send SIGTERM, and may do so again.
 """
 
 from __future__ import annotations
@@ -19,8 +19,9 @@ from rrmctl.errors import Exit, UserError
 from rrmctl.running.executor import Ended, Evaluated, Event, Executor, Note, Progress, Started, WorkOrder
 from rrmctl.running.scheduler import Outcome, Scheduler, Stage
 from rrmctl.store.files import StorageError
+from rrmctl.store.labels import OpenSession, published, waits_for
 from rrmctl.store.layout import Layout
-from rrmctl.store.owner import LEASE_S, Beat, Watch, is_owned
+from rrmctl.store.owner import Beat, Watch, is_owned, lease_s
 from rrmctl.store.status import ErrorKind, RunError, RunState, Status, blocked_by, record_failure, run_status
 from rrmctl.store.sweeps import Job
 from rrmctl.suspend_clock import WakingTime
@@ -53,6 +54,7 @@ class Watcher(Protocol):
     def note(self, job: str, text: str) -> None: ...  #: something a person should read
     def ended(self, job: str, outcome: Outcome, phase: Stage) -> None: ...  #: an attempt; `phase`: of the job from now
     def stopping(self, workers: int, wait_s: float) -> None: ...  #: they were asked to checkpoint and leave
+    def asked(self, sessions: Sequence[OpenSession]) -> None: ...  #: what runs wait for, about once a second
     def tick(self) -> None: ...  #: several times a second
 
 
@@ -67,34 +69,39 @@ class Supervisor:
     executor: Executor
     terms: Mapping[str, Terms] = field(default_factory=dict)  #: by id; where they are not the usual ones
     retries: int = 2
-    lease_s: float = LEASE_S  #: silence after which the runs of other processes are taken over
+    lease_s: float | None = (
+        None  #: silence after which the runs of other processes are taken over; None: as usual there
+    )
     stop_after_s: float = 60.0  #: time a worker has to checkpoint and leave
     asked: Sequence[str] = ()  #: the command, for the runs' provenance
+    signals: list[int] = field(default_factory=list)  #: that have arrived; handlers of others may add theirs
+    patient: bool = False  #: the workers have the whole time to leave, however often they are asked
     _launched: set[str] = field(default_factory=set, init=False)
     _waking: WakingTime = field(default_factory=WakingTime, init=False)
-    _signals: int = field(default=0, init=False)
     _kill_at: float | None = field(default=None, init=False)  #: when workers that were asked to leave are ended
     _silent: dict[str, Beat] = field(default_factory=dict, init=False)  #: runs to be taken over
     _refusals: int = field(default=0, init=False)  #: of the system to start a process, in a row
     _start_at: float = field(default=0.0, init=False)  #: before this moment nothing is started
+    _asked: dict[str, OpenSession] = field(default_factory=dict, init=False)  #: what people are asked, by run
     _looked: float = field(default=0.0, init=False)  #: when runs of other processes were last looked at
 
     def __post_init__(self) -> None:
         self._terms = {job.id: self.terms.get(job.id, Terms()) for job in self.jobs}
-        self._watch = Watch(self.lease_s, self._waking)
+        self._lease_s = lease_s(self.layout.root) if self.lease_s is None else self.lease_s
+        self._watch = Watch(self._lease_s, self._waking)
         requires = {job.id: job.requires for job in self.jobs if job.requires}
         self.scheduler = Scheduler(self._terms, slots=self.slots, retries=self.retries, requires=requires)
 
     def run(self) -> Exit:
-        """See every job to its end, or to a good place to stop; `INTERRUPTED` after a second signal."""
+        """See every job to its end, or to a good place to stop; `INTERRUPTED` where it was ended at once."""
 
-        def count(_number: int, _frame: object) -> None:
-            self._signals += 1
+        def take(number: int, _frame: object) -> None:
+            self.signals.append(number)
 
         with contextlib.ExitStack() as afterwards:
             if threading.current_thread() is threading.main_thread():  # Python allows handlers nowhere else
                 for number in (signal.SIGINT, signal.SIGTERM):
-                    afterwards.callback(signal.signal, number, signal.signal(number, count))
+                    afterwards.callback(signal.signal, number, signal.signal(number, take))
             afterwards.callback(self.executor.close)
             while not self.scheduler.finished:
                 self._look_elsewhere()
@@ -103,7 +110,7 @@ class Supervisor:
                     self._heed(event)
                 self._obey()
                 self.watcher.tick()
-                if self._signals > 1:
+                if signal.SIGINT in self.signals[1:] and not self.patient:
                     return Exit.INTERRUPTED
             return self.scheduler.exit_code()
 
@@ -115,6 +122,8 @@ class Supervisor:
             settled = None if job in self._launched else self._settled(job, status)
             if status.state is RunState.RUNNING and job not in self._silent:
                 settled = Outcome(Stage.ELSEWHERE)
+            elif (job in self._launched or not self._terms[job].fresh) and self._asks_people(job, status):
+                settled = Outcome(Stage.ELSEWHERE, status.error)
             if settled is not None:
                 self._conclude(job, settled)
                 continue
@@ -147,21 +156,34 @@ class Supervisor:
         self._start_at = time.monotonic() + pause
 
     def _look_elsewhere(self) -> None:
-        """Take over runs that other processes gave up, and take note of those they finished."""
+        """Take over runs that other processes gave up, or whose questions are answered; note those that are done."""
         if not self.scheduler.elsewhere or time.monotonic() - self._looked < _POLL_S:
             return
         self._looked = time.monotonic()
         for job in self.scheduler.elsewhere:
             folder = self.layout.run(job)
-            settled = self._settled(job, run_status(folder))
+            status = run_status(folder)
+            settled = self._settled(job, status)
             if settled is not None:
                 self._conclude(job, settled)
             elif not is_owned(folder):
-                self.scheduler.free(job)
+                if not self._asks_people(job, status):
+                    self.scheduler.free(job)
             elif (beat := self._watch.expired(folder)) is not None:  # each time that a lease has passed
-                self.watcher.note(job, f"its owner gave no sign of life for {self.lease_s:g} s; trying to take it over")
+                self.watcher.note(
+                    job, f"its owner gave no sign of life for {self._lease_s:g} s; trying to take it over"
+                )
                 self._silent[job] = beat
                 self.scheduler.free(job)
+        self.watcher.asked([self._asked[job] for job in self.scheduler.elsewhere if job in self._asked])
+
+    def _asks_people(self, job: str, status: Status) -> bool:
+        """Whether the run waits for answers of people that are not all there yet."""
+        self._asked.pop(job, None)
+        session = waits_for(self.layout.run(job), status)
+        if session is not None:
+            self._asked[job] = session
+        return session is not None
 
     def _settled(self, job: str, status: Status) -> Outcome | None:
         """How a run ended in another process' hands since the command was given; None if there is work left."""
@@ -184,13 +206,16 @@ class Supervisor:
                 self.watcher.note(*event)
             case Ended(run, outcome):
                 # Some library may end the process with exit code 0: only the status says done.
-                if outcome.ending is Stage.DONE and run_status(self.layout.run(run)).state is not RunState.DONE:
+                folder = self.layout.run(run)
+                if outcome.ending is Stage.DONE and run_status(folder).state is not RunState.DONE:
                     outcome = _failure(ErrorKind.CRASHED, "Exit", "left with exit code 0 before its end")
+                if outcome.error is not None and outcome.error.kind is ErrorKind.WAITING and published(folder):
+                    outcome = Outcome(Stage.ELSEWHERE, outcome.error)  # for people: it will be free again
                 self._conclude(run, outcome)
 
     def _obey(self) -> None:
         """Act on signals that have arrived, outside their handlers; and on workers that take too long to leave."""
-        if self._signals and self._kill_at is None:
+        if self.signals and self._kill_at is None:
             self.scheduler.stop()
             self._kill_at = self._waking() + self.stop_after_s
             self.watcher.stopping(self.executor.running, self.stop_after_s)

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     import pyarrow as pa
 
 #: Settings that read quickest at a few hundred rows; thousands of such files are read at a time.
-SETTINGS = {"compression": "snappy", "use_dictionary": False, "write_statistics": False, "write_page_checksum": True}
+SETTINGS = {"compression": "snappy", "use_dictionary": False, "write_statistics": False}
 
 _TEXTS = [name for name, kind in IDENTITY.items() if kind == "string"]
 _GRADIENTS = {"run": TEXT, "step": WHOLE, "loss": TEXT, "gradient_norm": NUMBER}

@@ -6,13 +6,14 @@ import contextlib
 import errno
 import fcntl
 import os
+import tempfile
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rrm import parquet
-from rrm.files import make_folder, read_bounded, sync_folder, write_atomically
+from rrm.files import make_folder, read_bounded, refresh, sync_folder, write_atomically
 from rrmctl.errors import Exit, UserError
 
 if TYPE_CHECKING:
@@ -22,6 +23,9 @@ _FULL = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EFBIG})
 
 #: What the operating system says when it is the place, not the program, that cannot take a write.
 STORAGE_ERRNOS = _FULL | {errno.EROFS, errno.EACCES, errno.EPERM, errno.EIO}
+
+#: What it says of a file that is not there, or was replaced by another machine since it was opened (NFS).
+_GONE = frozenset({errno.ENOENT, errno.ENOTDIR, errno.ESTALE})
 
 #: After so long nobody is still writing a temporary file, seconds.
 _LEFT_S = 600.0
@@ -56,7 +60,7 @@ class VersionError(UserError):
 def storage_error(path: Path, error: OSError, what: str = "write") -> StorageError:
     """The message for `path`, with which one could not do `what`."""
     full = error.errno in _FULL
-    todo = "make space" if full else "make the folder writable, or choose another with --results"
+    todo = "make space" if full else "make the folder writable, or name another (of results with --results)"
     return StorageError(
         f"cannot {what} {path}: {error.strerror or error}",
         f"what was written before is untouched; {todo}",
@@ -75,41 +79,53 @@ def read_bytes(path: Path, largest: int = 2**30) -> bytes | None:
 
     In one read: the file may be replaced by its successor at any moment, and this one stays what it was.
     """
-    try:
-        return read_bounded(path, largest)
-    except (FileNotFoundError, NotADirectoryError):
-        return None
-    except OSError as error:
-        raise unreadable(path, error) from error
+    for _ in range(2):
+        try:
+            return read_bounded(path, largest)
+        except OSError as error:
+            if error.errno not in _GONE:
+                raise unreadable(path, error) from error
+            refresh(path.parent)
+    return None
 
 
 def write_bytes(path: Path, data: bytes) -> None:
     """Replace `path` by `data`, creating its folder; after a crash it holds the old bytes or the new, as a whole."""
-    with _storing(path):
+    with storing(path):
+        make_folder(path.parent)
         write_atomically(path, data)
 
 
 def write_table(path: Path, table: pa.Table, **settings: Any) -> None:
     """`write_bytes` of `table` as a parquet file, with settings as in `rrm.parquet`."""
-    with _storing(path):
+    with storing(path):
+        make_folder(path.parent)
         parquet.write_table(path, table, **settings)
 
 
 @contextlib.contextmanager
-def _storing(path: Path) -> Iterator[None]:
+def storing(path: Path) -> Iterator[None]:
+    """Around a write of `path`: an `OSError` becomes a StorageError."""
     try:
-        make_folder(path.parent)
         yield
     except OSError as error:
         raise storage_error(path, error) from error
 
 
 def remove_leftovers(folder: Path) -> None:
-    """Remove temporary files of writers that died in `folder`. Young ones may be those of somebody at work."""
-    for path in folder.glob(".*.tmp"):
-        with contextlib.suppress(FileNotFoundError):
-            if time.time() - path.stat().st_mtime > _LEFT_S:
-                path.unlink()
+    """Remove temporary files of writers that died in `folder`. Young ones may be those of somebody at work.
+
+    How young is told by the file system's own clock, since those of other machines may differ from this one's.
+    """
+    left = list(folder.glob(".*.tmp"))
+    if not left:
+        return
+    with contextlib.suppress(OSError), tempfile.TemporaryFile(dir=folder) as new:
+        now = os.fstat(new.fileno()).st_mtime
+        for path in left:
+            with contextlib.suppress(FileNotFoundError):
+                if now - path.stat().st_mtime > _LEFT_S:
+                    path.unlink()
 
 
 def set_aside(path: Path, suffix: str) -> Path:
@@ -168,16 +184,22 @@ def is_open_at(descriptor: int, path: Path) -> bool:
     """Whether the open file is the one that `path` names."""
     try:
         return os.path.samestat(os.fstat(descriptor), path.stat())
-    except FileNotFoundError:
+    except OSError as error:
+        if error.errno not in _GONE:
+            raise
         return False
 
 
 @contextlib.contextmanager
-def locked(path: Path) -> Iterator[None]:
-    """Hold the exclusive lock behind `path`, waiting for it; for moments, not for runs."""
-    descriptor = try_lock(path, patience_s=60.0)
+def locked(path: Path, patience_s: float = 60.0, busy: UserError | None = None) -> Iterator[None]:
+    """Hold the exclusive lock behind `path`, waiting for it. `busy` says that others hold it all the while, where they
+    may do so for longer than moments.
+    """
+    descriptor = try_lock(path, patience_s)
     if descriptor is None:
-        raise StorageError(f"{path} was held by another process for a minute", "see whether an rrmctl is paused")
+        raise busy or StorageError(
+            f"{path} was held by another process for a minute", "see whether an rrmctl is paused"
+        )
     try:
         yield
     finally:

@@ -4,6 +4,9 @@ runs/<id>/                           the files of a run, see `RunFolder`
 sweeps/<experiment>/<variant>.json   what `run` was asked for
 trials/<experiment>/<variant>.json   the rules of `run --until-decided`
 aggregates/<experiment>.parquet      interquartile mean curves
+labels/                              what people were asked for no run, and what the server of labels keeps
+drivers/                             commands that run them now
+slurm/                               job arrays: `<name>.json` and `<name>.sh` of each, and the logs of their tasks
 
 Whatever else lies in these folders (a copy, a note, a system's own files) is nobody's run or sweep and is ignored.
 """
@@ -26,6 +29,9 @@ _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,127}")
 
 #: What a run's identity looks like.
 RUN_ID = re.compile(r"[0-9a-f]{16}")
+
+#: Files of a run's owners.
+_LEASE = re.compile(r"lease(?:-([1-9][0-9]{0,15}))?\.json")
 
 
 class _Entry:
@@ -51,17 +57,35 @@ class RunFolder:
     log = _Entry("log.txt")  #: everything the worker printed; only ever appended to
     lock = _Entry("lock")  #: empty; what counts is who holds it
     guard = _Entry("guard")  #: empty; held for the moment of a write, see `rrmctl.store.lease`
-    lease = _Entry("lease.json")  #: the owner's signs of life
+    lease = _Entry("lease.json")  #: an owner's signs of life, in earlier versions; now `lease_of` its number
     checkpoint = _Entry("checkpoint")  #: the trainer's own folder, gone when the run is done
     model = _Entry("model.safetensors")  #: the final networks
     demos = _Entry("demos.safetensors")  #: the demonstrations, of a run that collects them
     film = _Entry("demos.safetensors.frames")  #: their pictures, where an agent sees any
+    queries = _Entry("queries")  #: what is put before people, see `rrm.teachers.published`
+    labels = _Entry("labels.parquet")  #: what they answered, see `rrm.teachers.labels`; training anew keeps it
     gradients = _Entry("gradients.parquet")  #: norms, of a run that fine-tunes an imitation reward
+    networks = _Entry("networks")  #: those of steps before the end that are to be deployed
+    episodes = _Entry("episodes.parquet")  #: what came of them at the workplace, of a job that deploys them all
+    deployments = _Entry("deployments")  #: and of `rrmctl deploy`, a file for each policy and workplace
 
     @property
     def id(self) -> str:
         """The run's identity."""
         return self.path.name
+
+    def lease_of(self, number: int) -> Path:
+        """Signs of life of the run's owner of this number, from 1; empty once it has given the run back."""
+        return self.path / f"lease-{number}.json" if number else self.lease
+
+    def leases(self) -> list[int]:
+        """Numbers of the owners whose files are there, in no order. Raises OSError where the folder cannot be read."""
+        try:
+            with os.scandir(self.path) as entries:
+                found = [_LEASE.fullmatch(entry.name) for entry in entries]
+        except (FileNotFoundError, NotADirectoryError):
+            return []
+        return [int(match[1] or 0) for match in found if match]
 
     @property
     def results(self) -> Path:
@@ -70,7 +94,19 @@ class RunFolder:
 
     def trained(self) -> tuple[Path, ...]:
         """What training leaves, to be removed when a run starts from nothing."""
-        return (self.curve, self.provenance, self.checkpoint, self.model, self.demos, self.film, self.gradients)
+        return (
+            self.curve,
+            self.provenance,
+            self.checkpoint,
+            self.model,
+            self.demos,
+            self.film,
+            self.gradients,
+            self.queries,
+            self.networks,
+            self.episodes,
+            self.deployments,
+        )
 
 
 @dataclass(frozen=True)
@@ -111,6 +147,53 @@ class Layout:
     def aggregate(self, experiment: str) -> Path:
         """The interquartile mean curves of an experiment."""
         return self.root / "aggregates" / f"{_checked('experiment', experiment)}.parquet"
+
+    @property
+    def extra_labels(self) -> Path:
+        """The answers of people that belong to no run: practice, and what everybody is asked."""
+        return self.root / "labels" / "extra.parquet"
+
+    def extra_queries(self, task: str) -> Path:
+        """The folder of those queries, of a task: sessions as in a run's (`rrm.teachers.published`)."""
+        return self.root / "labels" / _checked("task", task)
+
+    @property
+    def labels_lock(self) -> Path:
+        """Held by whoever writes labels, those in the runs' folders included."""
+        return self.root / "labels" / "lock"
+
+    @property
+    def label_keys(self) -> Path:
+        """By what a page is known again: digests, none of which opens anything."""
+        return self.root / "labels" / "keys.json"
+
+    @property
+    def clips(self) -> Path:
+        """Pictures while they are shown; nothing else is kept there."""
+        return self.root / "labels" / "clips"
+
+    @property
+    def slurm(self) -> Path:
+        """The folder of what was submitted to Slurm, and of the logs of its tasks."""
+        return self.root / "slurm"
+
+    def submission(self, name: str) -> Path:
+        """The record of a job array; its script lies beside it."""
+        return self.slurm / f"{_checked('job', name)}.json"
+
+    def submissions(self) -> list[str]:
+        """The names of all job arrays, sorted."""
+        return [name[: -len(".json")] for name in _names(self.slurm, lambda entry: entry.suffix == ".json")]
+
+    @property
+    def slurm_lock(self) -> Path:
+        """Held by whoever submits, from its look at the queue to its end."""
+        return self.slurm / ".lock"
+
+    @property
+    def drivers(self) -> Path:
+        """The folder of commands that see runs to their end, see `rrmctl.store.drivers`."""
+        return self.root / "drivers"
 
     def _sweeps(self, experiment: str) -> Path:
         return self.root / "sweeps" / _checked("experiment", experiment)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import datetime
 import json
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -18,7 +18,7 @@ from rrmctl.store.layout import open_results
 from rrmctl.store.provenance import read_config, read_provenance
 from rrmctl.store.schema import IDENTITY, LABELS, curve_schema
 from rrmctl.store.status import Status, run_status, statuses
-from rrmctl.store.sweeps import read_sweeps, readable_sweeps
+from rrmctl.store.sweeps import Job, SweepRecord, read_sweeps, readable_sweeps
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -117,13 +117,20 @@ class Snapshot:
 
     def planned(self, *, needed: bool = False) -> pd.DataFrame:
         """As the function of this name."""
+        return self._planned(lambda sweep: (*sweep.merely_needed, *sweep.deployments) if needed else sweep.jobs)
+
+    def deployments(self) -> pd.DataFrame:
+        """The same of the deployments alone."""
+        return self._planned(lambda sweep: sweep.deployments)
+
+    def _planned(self, jobs: Callable[[SweepRecord], Iterable[Job]]) -> pd.DataFrame:
         rows = (
             (
                 sweep.experiment, sweep.variant, sweep.profile, json.dumps(sweep.overrides, sort_keys=True), *job.row,
                 job.seed, job.id, job.cell, *_progress(self.states[job.id], job.steps)
             )
             for sweep in self.sweeps
-            for job in (sweep.merely_needed if needed else sweep.jobs)
+            for job in jobs(sweep)
         )  # fmt: skip
         return frame(rows, PLANNED)
 
@@ -147,7 +154,9 @@ class Snapshot:
         return jobs[[*LABELS, "run", "cell", "state"]].merge(typed(measured), on="run", how="inner", sort=False)
 
     def runs(self, *, needed: bool = False) -> tuple[Run, ...]:
-        """The planned runs in the order of the plan, or instead those that they need: experts, demonstrations."""
+        """The planned runs in the order of the plan, or instead those that are there because of them: experts,
+        demonstrations, deployments.
+        """
         runs = []
         for plan in self.planned(needed=needed).to_dict("records"):
             labels = {str(name): value for name, value in plan.items()}
@@ -163,12 +172,13 @@ def _progress(status: Status, steps: int) -> tuple[Any, ...]:
     return (str(status.state), status.attempt, status.step, steps, str(status.error or ""))
 
 
-def load(results: str | Path = "results", experiment: str | None = None) -> pd.DataFrame:
+def load(results: str | Path = "results", experiment: str | None = None, *, needed: bool = False) -> pd.DataFrame:
     """Every evaluation in the store as a tidy DataFrame: one row per experiment, run and evaluation.
 
     Args:
         results: the results root.
         experiment: only this one; default all, and runs that no sweep asked for under the experiment "".
+        needed: instead of the jobs' those of runs that are there because of them, as of `planned`.
 
     Returns:
         Columns `experiment, variant, profile, task, method, teacher, feedback, seed, run, cell, state`, those of
@@ -182,8 +192,8 @@ def load(results: str | Path = "results", experiment: str | None = None) -> pd.D
     import pandas as pd
 
     store = Snapshot(results, experiment)
-    jobs = store.planned()
-    if experiment is None:
+    jobs = store.planned(needed=needed)
+    if experiment is None and not needed:
         jobs = pd.concat([jobs, store.unplanned()], ignore_index=True)
     return store.evaluations(jobs)
 
@@ -192,7 +202,7 @@ def planned(results: str | Path = "results", experiment: str | None = None, *, n
     """Every job a sweep asked for, with where it stands, as a DataFrame.
 
     Args:
-        needed: instead of the jobs those runs that are there because jobs need them: experts, demonstrations.
+        needed: instead of the jobs those runs that are there because of them: experts, demonstrations, deployments.
 
     Returns:
         The columns of `PLANNED`: `overrides` is JSON, `state` one of `rrmctl.store.status.RunState`, `step` the last

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import os
 import statistics
@@ -16,7 +17,8 @@ from rrm.files import open_regular
 from rrmctl.commands import rrmctl
 from rrmctl.store.files import PATIENCE_S, DamagedError, StorageError
 from rrmctl.store.layout import Layout, RunFolder
-from rrmctl.store.owner import is_owned, lock_free
+from rrmctl.store.lease import Lease, LeaseLostError
+from rrmctl.store.owner import is_owned
 from rrmctl.store.records import read_record, write_json
 from rrmctl.store.schema import SCHEMA_VERSION
 from rrmctl.store.sweeps import Job, readable_sweeps
@@ -104,15 +106,16 @@ def record_failure(folder: RunFolder, error: RunError) -> None:
 
     Leaves a run alone that another process owns by now.
     """
-    lock = None if error.kind is ErrorKind.DAMAGED else lock_free(folder, PATIENCE_S)
-    if lock is None:
+    lease = None if error.kind is ErrorKind.DAMAGED else Lease.take(folder, patience_s=PATIENCE_S)
+    if lease is None:
         return
     try:
-        status = read_status(folder)
-        if status.state not in (RunState.DONE, RunState.FAILED):
-            write_status(folder, dataclasses.replace(status, state=RunState.FAILED, error=error))
+        with contextlib.suppress(LeaseLostError), lease.writing():
+            status = read_status(folder)
+            if status.state not in (RunState.DONE, RunState.FAILED):
+                write_status(folder, dataclasses.replace(status, state=RunState.FAILED, error=error))
     finally:
-        os.close(lock)
+        lease.release()
 
 
 def run_status(folder: RunFolder) -> Status:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import graphlib
-import os
 import shutil
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
@@ -27,7 +26,7 @@ from rrmctl.store.files import (
     storage_error,
 )
 from rrmctl.store.layout import Layout, RunFolder, never_run
-from rrmctl.store.owner import lock_free
+from rrmctl.store.lease import Lease
 from rrmctl.store.records import RunId, read_record, write_json
 from rrmctl.store.schema import SCHEMA_VERSION
 
@@ -77,12 +76,15 @@ class SweepRecord:
     jobs: tuple[Job, ...] = ()
     needed: tuple[Job, ...] = ()  #: runs that jobs need; nothing reports them, and some may be jobs as well
     priors: tuple[StrictStr, ...] = ()  #: of `--prior`, which added methods to those of the manifest
+    deployments: tuple[Job, ...] = ()  #: of jobs' policies, once those are done; reports of deployments alone read them
     superseded: tuple[Job, ...] = ()  #: another run was asked for in their place, of other settings or files
 
     @property
     def everything(self) -> tuple[Job, ...]:
-        """Every run, those that are only needed first; one that several rows share is there for each of them."""
-        return (*self.merely_needed, *self.jobs)
+        """Every run, those that are only needed first, deployments last; one that several rows share is there for each
+        of them.
+        """
+        return (*self.merely_needed, *self.jobs, *self.deployments)
 
     @property
     def merely_needed(self) -> tuple[Job, ...]:
@@ -96,7 +98,17 @@ class SweepRecord:
         jobs, superseded = _told_apart((*self.superseded, *self.jobs, *other.jobs))
         needed = tuple(dict.fromkeys((*self.needed, *other.needed)))
         priors = tuple(dict.fromkeys((*self.priors, *other.priors)))
-        return dataclasses.replace(self, jobs=jobs, superseded=superseded, needed=needed, priors=priors)
+        deployments, _ = _told_apart((*self.deployments, *other.deployments))
+        return dataclasses.replace(
+            self, jobs=jobs, superseded=superseded, needed=needed, priors=priors,
+            deployments=deployments_of(jobs, deployments),
+        )  # fmt: skip
+
+
+def deployments_of(jobs: Iterable[Job], deployments: Iterable[Job]) -> tuple[Job, ...]:
+    """Those deployments whose policies are of some of these jobs."""
+    runs = {job.id for job in jobs}
+    return tuple(deployment for deployment in deployments if runs.issuperset(deployment.requires))
 
 
 def write_sweep(path: Path, sweep: SweepRecord) -> None:
@@ -105,8 +117,9 @@ def write_sweep(path: Path, sweep: SweepRecord) -> None:
     jobs = sorted((*sweep.superseded, *sweep.jobs), key=lambda job: order[job.place])
     content = {"schema_version": SCHEMA_VERSION, **dataclasses.asdict(dataclasses.replace(sweep, jobs=tuple(jobs)))}
     del content["superseded"]
-    if not sweep.priors:
-        del content["priors"]  # earlier programs know none
+    for name in ("priors", "deployments"):
+        if not content[name]:
+            del content[name]  # earlier programs know none
     write_json(path, content)
 
 
@@ -157,13 +170,14 @@ def read_sweep(path: Path) -> SweepRecord | None:
     """The record in this file; None where there is none."""
     command = f"the `rrmctl run {path.parent.name} ...` that made it"
     hint = f"{command} sets it aside, makes it again and trains nothing twice"
-    sweep = read_record(SweepRecord, path, hint, "needed priors superseded")
+    sweep = read_record(SweepRecord, path, hint, "needed priors deployments superseded")
     if sweep is None:
         return None
     if (sweep.experiment, sweep.variant) != (path.parent.name, path.stem):  # files are named after what they say
         problem = f"it is the record of {sweep.experiment!r} ({sweep.variant!r})"
         raise DamagedError(f"{path} is damaged: {problem}", hint)
-    requires = {job.id: job.requires for job in (*sweep.jobs, *sweep.needed) if job.requires}
+    everything = (*sweep.jobs, *sweep.needed, *sweep.deployments)
+    requires = {job.id: job.requires for job in everything if job.requires}
     try:
         graphlib.TopologicalSorter(requires).prepare()
     except graphlib.CycleError as error:
@@ -202,8 +216,9 @@ def unused_runs(layout: Layout) -> list[str]:
     return [run for run in layout.run_ids() if run not in named]
 
 
-def remove_unused(layout: Layout, runs: Iterable[str]) -> list[str]:
-    """Remove those of these runs that are unused still and that no process owns, each as a whole; their ids.
+def remove_unused(layout: Layout, runs: Iterable[str], *, labels: bool = False) -> list[str]:
+    """Remove those of these runs that are unused still and that no process owns, each as a whole; their ids. What holds
+    answers of people goes only with `labels`.
 
     Records forget what was superseded and is gone. While it works no command records a sweep.
     """
@@ -212,7 +227,7 @@ def remove_unused(layout: Layout, runs: Iterable[str]) -> list[str]:
             recording_kept_out.enter_context(locked(layout.sweep_lock(experiment)))
         for half in (layout.root / "runs").glob(".*.removed"):  # what was begun by one that was killed
             shutil.rmtree(half)
-        gone = [run for run in unused_runs(layout) if run in set(runs) and _remove(layout.run(run))]
+        gone = [run for run in unused_runs(layout) if run in set(runs) and _remove(layout.run(run), labels=labels)]
         for sweep in read_sweeps(layout):
             left = tuple(job for job in sweep.superseded if job.id not in gone)
             if left != sweep.superseded:
@@ -220,10 +235,10 @@ def remove_unused(layout: Layout, runs: Iterable[str]) -> list[str]:
     return gone
 
 
-def _remove(run: RunFolder) -> bool:
+def _remove(run: RunFolder, *, labels: bool) -> bool:
     """Remove a run's folder, unless a process owns the run. Renamed first: nobody finds half of it."""
-    lock = lock_free(run, PATIENCE_S)
-    if lock is None:
+    lease = None if run.labels.exists() and not labels else Lease.take(run, patience_s=PATIENCE_S)
+    if lease is None:
         return False
     aside = run.path.with_name(f".{run.id}.removed")
     try:
@@ -233,5 +248,5 @@ def _remove(run: RunFolder) -> bool:
     except OSError as error:
         raise storage_error(run.path, error, "remove") from error
     finally:
-        os.close(lock)
+        lease.release()
     return True

@@ -10,6 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from rrmctl.labels import HUMAN
 from rrmctl.reports.figure_layout import Axes, Figure, Slot, from_frames, sheet
 from rrmctl.reports.plot_elements import curves_slot, iqm_notes, line, panel_name, scaled
 from rrmctl.reports.series import Section, Series
@@ -19,8 +20,6 @@ from rrmctl.stats import Floats, IqmKind, iqm
 
 #: Evaluations.
 WINDOW = 5
-#: The teacher that is a person.
-HUMAN = "human"
 
 
 def suits(section: Section) -> bool:

@@ -51,7 +51,7 @@ def build(
     check_profile(profile, (str(variant.runs[0].plan["profile"]) for variant in variants))
     variants = [variant for variant in variants if profile in (None, variant.runs[0].plan["profile"])]
     shown = (variant.section for variant in variants)
-    sections = [section for section in shown if isinstance(section, Section) and section.contained]
+    sections = [one for one in shown if isinstance(one, Section) and (one.contained or one.answered)]
     gathered = gather(sections, settings)
     rules = [Part(title=title, rules=sentences) for title, sentences in explained().items()]
     parts = [

@@ -72,11 +72,14 @@ def chapter(variant: Variant, gathered: Tables, settings: Statistics) -> Part:
         hint = f" ({section.hint})" if section.hint else ""
         warnings = [f"Its runs cannot be shown together: {section}{hint}."]
     else:
-        heading = title(section)
+        heading, place = title(section), (variant.experiment, variant.name)
         if section.contained:
             warnings = [*section.problems]
             parts.append(Part(id=f"{name}-figures", title="Figures", figures=[*_figures(section, name, settings)]))
-            parts.append(tables_at((variant.experiment, variant.name), name, gathered))
+            parts.append(tables_at(place, name, gathered))
+        people = [*_figures(section, name, settings, people=True)]
+        told = tables_at(place, name, gathered, people=True)
+        parts.append(Part(id=f"{name}-people", title="People", figures=people, parts=[told]))
     return Part(
         id=name,
         title=heading,
@@ -86,10 +89,10 @@ def chapter(variant: Variant, gathered: Tables, settings: Statistics) -> Part:
     )
 
 
-def _figures(section: Section, name: str, settings: Statistics) -> Iterator[Picture | str]:
+def _figures(section: Section, name: str, settings: Statistics, *, people: bool = False) -> Iterator[Picture | str]:
     for figure, entry in sorted(figures().items(), key=_rank):
         module = entry.load()
-        if not module.suits(section):
+        if _of_people(figure) != people or not module.suits(section):
             continue
         caption = f"{entry.help.splitlines()[0]} ({rrmctl('plot', section.experiment, '--figure', figure)})"
         try:
@@ -112,6 +115,11 @@ def picture(figure: Figure, name: str, caption: str, alternative: str) -> Pictur
     return Picture(name, caption, alternative, round(96 * figure.get_figwidth()), source)
 
 
+def _of_people(name: str) -> bool:
+    """Whether a figure or table of this name is of what people answered."""
+    return name in ("human", "human-returns", "human-sitting")
+
+
 def _rank(named: tuple[str, object]) -> int:
     """Where a table or figure of this name stands among others."""
     return _MAIN.index(named[0]) if named[0] in _MAIN else len(_MAIN)
@@ -122,16 +130,17 @@ def gather(sections: Sequence[Section], settings: Statistics) -> Tables:
 
     Where one section stands in the way, each is asked alone. Why a kind has none at all stands at `SEVERAL`.
     """
-    places, tables = [(section.experiment, section.variant) for section in sections], Tables()
-    for kind, entry in kinds().items() if sections else ():
-        if kind == "all":  # the others
+    tables = Tables()
+    for kind, entry in kinds().items():
+        own = [section for section in sections if section.contained or _of_people(kind)]
+        if kind == "all" or not own:  # all: the others
             continue
-        make = entry.load().make
+        make, places = entry.load().make, [(section.experiment, section.variant) for section in own]
         try:
-            reports = make(sections, settings)
+            reports = make(own, settings)
         except UserError as error:
             reports, refused = [], {}
-            for place, section in zip(places, sections, strict=True):
+            for place, section in zip(places, own, strict=True):
                 try:
                     reports += make([section], settings)
                 except UserError as reason:
@@ -144,9 +153,9 @@ def gather(sections: Sequence[Section], settings: Statistics) -> Tables:
     return tables
 
 
-def tables_at(place: Place, name: str, gathered: Tables) -> Part:
-    """The tables of a place, the notes that several share once, and why others are not there."""
-    tables = sorted(gathered.made[place], key=_rank)
+def tables_at(place: Place, name: str, gathered: Tables, *, people: bool = False) -> Part:
+    """The tables of a place, the notes that several share once, and why others are not there; or those of people."""
+    tables = sorted((made for made in gathered.made[place] if _of_people(made[0]) == people), key=_rank)
     counted = Counter(note for _, report in tables for note in dict.fromkeys(report.notes))
     shared = [note for note, count in counted.items() if count > 1]
     seen: Counter[str] = Counter()
@@ -154,14 +163,15 @@ def tables_at(place: Place, name: str, gathered: Tables) -> Part:
     for kind, report in tables:
         seen[kind] += 1
         heading = f"{report.title}. " if place == SEVERAL else ""
-        caption = f"{heading}{kinds()[kind].help.splitlines()[0]} (rrmctl report {kind})"
+        about = report.facts.get("about", kinds()[kind].help.splitlines()[0])
+        caption = f"{heading}{about} (rrmctl report {kind})"
         id_ = f"{name}-{identifier(kind)}" + (f"-{seen[kind]}" if seen[kind] > 1 else "")
         notes = [note for note in report.notes if note not in shared]
         parts.append(replace(_table(report, caption), id=id_, notes=notes))
-    reasons = [f"{kind}: {why}" for kind, why in gathered.refused[place].items()]
+    reasons = [f"{kind}: {why}" for kind, why in gathered.refused[place].items() if _of_people(kind) == people]
     parts.append(Part(title="On several of these tables", notes=shared))
     parts.append(Part(title="Tables with nothing to show", notes=reasons, folded=True))
-    return Part(id=f"{name}-tables", title="Tables", parts=parts)
+    return Part(id=f"{name}-{'answers' if people else 'tables'}", title="Answers" if people else "Tables", parts=parts)
 
 
 def _table(report: Report, caption: str) -> Part:

@@ -1,0 +1,191 @@
+"""Who runs what `run` and `resume` have planned: processes here, job arrays, or a Ray cluster."""
+
+from __future__ import annotations
+
+import contextlib
+import sys
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, fields
+from typing import TYPE_CHECKING, NamedTuple, TypedDict
+
+from rrm.hardware import usable_cores
+from rrmctl.cli.options import HANG_AFTER_MIN
+from rrmctl.cli.progress import experiments, runs
+from rrmctl.cli.screen import tell
+from rrmctl.commands import rrmctl
+from rrmctl.errors import Exit, UserError, check_known
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from rrmctl.running.executor import Executor
+    from rrmctl.running.slurm import Submission
+    from rrmctl.running.slurm_arrays import Array
+    from rrmctl.running.supervisor import Terms
+    from rrmctl.store.layout import Layout
+    from rrmctl.store.sweeps import Job, SweepRecord
+
+
+@dataclass(frozen=True, kw_only=True)
+class Options:
+    """How runs are to be run, as it was typed. Raises UserError where an option means nothing to the executor."""
+
+    executor: str
+    workers: int | None = None
+    memory: float | None = None  #: GiB
+    hang_after: float = HANG_AFTER_MIN  #: minutes
+    label: bool = False
+    slurm: Sequence[str] | None = None
+    at_once: int | None = None
+    pack: int | None = None
+    address: str | None = None
+    gpus: float | None = None
+
+    def __post_init__(self) -> None:
+        check_known(self.executor, EXECUTORS, f'there is no executor "{self.executor}"')
+        for field in fields(self)[1:]:
+            if getattr(self, field.name) != field.default and field.name not in EXECUTORS[self.executor].options:
+                word = f"--{field.name.replace('_', '-')}"
+                whose = ", ".join(name for name, other in EXECUTORS.items() if field.name in other.options)
+                raise UserError(f"{word} means nothing with --executor {self.executor}", f"it is for {whose}")
+
+    @property
+    def local(self) -> bool:
+        """The runs are run on this machine."""
+        return EXECUTORS[self.executor].here
+
+    @property
+    def again(self) -> list[str]:
+        """Words that have `resume` run things in the same way; none for this machine."""
+        if self.local:
+            return []
+        words = ["--executor", self.executor]
+        for field in fields(self)[1:]:
+            value = getattr(self, field.name)
+            if value != field.default and field.name != "label":
+                word = f"--{field.name.replace('_', '-')}"
+                words += [f"{word}={each}" for each in (value if isinstance(value, list) else [value])]
+        return words
+
+    def slots(self, threads: Iterable[int], jobs: int) -> int:
+        """How many runs there are at a time, at the best."""
+        if self.local:
+            return self.workers or max(1, usable_cores() // max(threads, default=1))
+        return max(1, min(jobs, self.at_once or jobs))
+
+
+class Work(NamedTuple):
+    """Runs of some sweeps, and how each is to be run."""
+
+    console: Console
+    layout: Layout
+    assigned: Mapping[Job, Terms]
+    sweeps: Sequence[SweepRecord]
+
+
+def train(work: Work, options: Options) -> Exit:
+    """Have the executor run what there is to run."""
+    return EXECUTORS[options.executor].run(work, options) if work.assigned else Exit.DONE
+
+
+def _here(work: Work, options: Options) -> Exit:
+    from rrmctl.running.local import LocalExecutor
+
+    slots = options.slots((terms.threads for terms in work.assigned.values()), len(work.assigned))
+    return _drive(work, LocalExecutor(layout=work.layout, **_limits(options)), slots)
+
+
+def _ray(work: Work, options: Options) -> Exit:
+    from rrmctl.cli.user_config import ray_site
+
+    site = ray_site(options.address, options.gpus, options.at_once)
+    try:
+        from rrmctl.running.ray_executor import RayExecutor, connected, misfits
+    except ModuleNotFoundError as error:
+        if error.name != "ray":
+            raise
+        hint = "pip install 'rrmctl[ray]', on every node of the cluster"
+        raise UserError("this needs Ray, which is not installed", hint) from None
+    executor = RayExecutor(layout=work.layout, gpus=site.gpus, **_limits(options))
+    with connected(site.address):
+        for what in misfits(executor.needs(job.id, terms.threads) for job, terms in work.assigned.items()):
+            tell(f"note: no node of the cluster has {what} now; runs that need that wait for one", err=True)
+        return _drive(work, executor, min(site.at_once or len(work.assigned), len(work.assigned)))
+
+
+class _Limits(TypedDict):
+    memory_limit: int | None
+    hang_after_s: float
+
+
+def _limits(options: Options) -> _Limits:
+    memory = None if options.memory is None else int(options.memory * 2**30)
+    return {"memory_limit": memory, "hang_after_s": options.hang_after * 60.0}
+
+
+def _drive(work: Work, executor: Executor, slots: int) -> Exit:
+    """See the runs to their end, shown as bars at a terminal and as lines elsewhere."""
+    from rrmctl.cli.live import Bars, Lines
+    from rrmctl.running.supervisor import Supervisor
+
+    console, layout, assigned, sweeps = work
+    watched = sys.stderr.isatty() and not console.is_dumb_terminal
+    watcher = (Bars if watched else Lines)(console, layout, list(assigned), experiments(sweeps))
+    with watcher.progress if isinstance(watcher, Bars) else contextlib.nullcontext():
+        return Supervisor(
+            layout=layout, jobs=list(assigned), terms={job.id: terms for job, terms in assigned.items()}, slots=slots,
+            watcher=watcher, executor=executor, asked=["rrmctl", *sys.argv[1:]],
+        ).run()  # fmt: skip
+
+
+def _slurm(work: Work, options: Options) -> Exit:
+    """Submit what is neither queued nor running, and say what was submitted."""
+    from rrmctl.cli.user_config import slurm_site
+    from rrmctl.running.config_file import on_card
+    from rrmctl.running.slurm import lost, read_queue, submissions
+    from rrmctl.running.slurm_arrays import Order, submit
+    from rrmctl.store.files import locked
+    from rrmctl.store.labels import waits_for
+    from rrmctl.store.status import statuses
+
+    console, layout, assigned, sweeps = work
+    site = slurm_site(options.slurm or (), options.at_once, options.pack)
+    names, asked = experiments(sweeps), ["rrmctl", *sys.argv[1:]]
+
+    def told(submission: Submission, array: Array) -> None:
+        count = sum(map(len, submission.tasks))
+        tasks = f"{len(submission.tasks)} task{'s' if len(submission.tasks) != 1 else ''}"
+        tell(f"{array.experiment}: {runs(count)} submitted as job {submission.job}, {tasks}")
+
+    with locked(layout.slurm_lock):
+        submitted = submissions(layout)
+        queue = read_queue(submitted, names)
+        states = statuses(layout, assigned)
+        elsewhere = {job.id for job in assigned if states[job.id].state == "running"} - queue.keys()
+        elsewhere -= lost(layout, elsewhere)
+        asking = {job.id for job in assigned if waits_for(layout.run(job.id), states[job.id]) is not None}
+        left = [job for job in assigned if job.id not in queue.keys() | elsewhere | asking]
+        queued = {job.id: job.requires for job in assigned if job not in left}
+        orders = [Order(job, assigned[job], names[job.id], on_card(layout.run(job.id))) for job in left]
+        submit(layout, orders, site, queue=queue, queued=queued, asked=asked, told=told)
+    for count, what in ((len(queue.keys() & {job.id for job in assigned}), "queued or running there already"),
+                        (len(elsewhere), "run by other processes"), (len(asking), "waiting for people")):  # fmt: skip
+        if count:
+            console.print(f"{runs(count)} {what}", soft_wrap=True)
+    only = {sweep.experiment for sweep in sweeps}
+    tell(f"Watch: {rrmctl('status', *(only if len(only) == 1 else ()), results=layout.root)}")
+    return Exit.INCOMPLETE
+
+
+class _Executor(NamedTuple):
+    run: Callable[[Work, Options], Exit]
+    options: tuple[str, ...]  #: those that mean something to it
+    here: bool  #: on this machine
+
+
+#: What --executor takes.
+EXECUTORS = {
+    "local": _Executor(_here, ("workers", "memory", "hang_after", "label"), here=True),
+    "slurm": _Executor(_slurm, ("slurm", "at_once", "pack"), here=False),
+    "ray": _Executor(_ray, ("address", "gpus", "at_once", "memory", "hang_after", "label"), here=False),
+}
