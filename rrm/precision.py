@@ -7,15 +7,19 @@ from typing import Annotated, Literal
 from pydantic import ValidationInfo, ValidatorFunctionWrapHandler, WrapValidator
 
 from rrm.config import AgentConfig, DrqConfig
+from rrm.devices import CPU, CUDA, kind_of
 from rrm.tuning import machine, pays
 
-Precision = Literal["float32", "bfloat16"]
+Precision = Literal["float32", "bfloat16", "tf32"]  #: the last on graphics cards alone
 
 
 def _meant(value: object, handler: ValidatorFunctionWrapHandler, info: ValidationInfo) -> object:
     if value != "auto":
         return handler(value)
-    agent = (info.data or {}).get("agent")  # missing where it is wrong, which is said then, or in a setting by itself
+    settings = info.data or {}
+    agent = settings.get("agent")  # missing where it is wrong, which is said then, or in a setting by itself
+    if kind_of(settings.get("device", CPU)) == CUDA:
+        return "float32"  # at these sizes a card waits for its next product longer than for one to end
     return value if agent is None else native_precision(agent)
 
 

@@ -35,6 +35,7 @@ from rrm.config import (
     SacConfig,
     TeacherConfig,
 )
+from rrm.devices import CUDA, DeviceSetting, kind_of
 from rrm.envs.spaces import FrameSpace, Spaces
 from rrm.envs.tasks import ARM, TASKS, Task, can_vary, task
 from rrm.errors import ConfigError, LabelError, UnknownNameError
@@ -130,11 +131,14 @@ class RunConfig(JobConfig):
     imitation: ImitationConfig = ImitationConfig()  #: of runs that learn from demonstrations, and of planning theirs
     evaluation: EvaluationConfig = EvaluationConfig()
     deploy: DeployConfig = DeployConfig()  #: of tasks that an arm does, and of planning what follows
+    device: DeviceSetting = "cpu"  #: where networks learn: "cuda", "cuda:1"; "auto" is a card where there is one
     precision: PrecisionSetting = "float32"  #: of products between hidden layers; "auto" is this machine's fastest
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
         spec = self.spec()
+        if self.precision == "tf32" and kind_of(self.device) != CUDA:
+            raise ConfigError('precision: tf32 is a precision of graphics cards; it needs device = "cuda"')
         if self.horizon is not None and self.horizon > spec.horizon:
             raise ConfigError(f"horizon: {self.horizon} steps is longer than {self.task}'s episode of {spec.horizon}")
         can_vary(spec, self.env.ranges())
@@ -332,7 +336,7 @@ class RunConfig(JobConfig):
 
     def canonical(self) -> Self:
         reward, explore = self.reward, self.exploration
-        changes: dict[str, Any] = {"imitation": self._canonical_imitation()}
+        changes: dict[str, Any] = {"imitation": self._canonical_imitation(), "device": kind_of(self.device)}
         changes["deploy"] = _defaulted(self.deploy, "episodes", "rig")
         if reward.prior != IMITATION:
             reward = _defaulted(reward, "prior_run", "squash")

@@ -2,8 +2,9 @@
 is done with it afterwards.
 
 The expert is the oracle's run of seed 0, and all seeds of all methods on a task share one prior, as in the paper. The
-chain is configured by the profile and by the section `imitation` of a run's settings, and looks and acts as the run
-does (camera, action repeat, what varies); by nothing else: two experiments that differ in their feedback share it.
+chain is configured by the profile and by the section `imitation` of a run's settings, and looks, acts and learns where
+the run does (camera, action repeat, what varies, device); by nothing else: two experiments that differ in their
+feedback share it.
 """
 
 from __future__ import annotations
@@ -60,7 +61,7 @@ def supply(config: RunConfig, scale: str, folder: Path) -> tuple[RunConfig, tupl
     if config.reward.prior != IMITATION and not (config.from_demonstrations or config.borrows_encoder):
         return config, ()
     imitation = config.imitation
-    world: dict[str, object] = {"action_repeat": config.action_repeat}
+    world: dict[str, object] = {"action_repeat": config.action_repeat, "device": config.device}
     for part in ("camera", "env"):
         settings = getattr(config, part).model_dump(exclude_defaults=True)
         world |= {f"{part}.{name}": value for name, value in settings.items()}
