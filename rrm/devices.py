@@ -27,7 +27,7 @@ _NAME_BYTES = 256
 class Card(NamedTuple):
     """A graphics card, as CUDA counts them here: `CUDA_VISIBLE_DEVICES` hides some, and has a say in their order."""
 
-    index: int
+    number: int
     name: str
     memory: int  #: bytes
 
@@ -41,7 +41,7 @@ DeviceSetting = Annotated[str, Field(pattern=_WANTED), WrapValidator(_meant)]
 
 
 def kind_of(device: str) -> str:
-    """cpu or cuda."""
+    """The one, `cpu` or `cuda`."""
     return device.partition(":")[0]
 
 
@@ -50,7 +50,9 @@ def check_device(device: str) -> None:
     if kind_of(device) != CUDA:
         return
     if why := missing():
-        raise ConfigError(f'device: {device} cannot be used here: {why}; use device = "cpu", or "auto" to take what is there')
+        raise ConfigError(
+            f'device: {device} cannot be used here: {why}; use device = "cpu", or "auto" to take what is there'
+        )
     number = int(device.partition(":")[2] or 0)
     if number >= len(cards()):
         raise ConfigError(f"device: there is no {device} here; the cards are {', '.join(map(in_words, cards()))}")
@@ -58,7 +60,7 @@ def check_device(device: str) -> None:
 
 def in_words(card: Card) -> str:
     """Its number, name and memory."""
-    return f"cuda:{card.index} ({card.name}, {card.memory / 2**30:.0f} GiB)"
+    return f"cuda:{card.number} ({card.name}, {card.memory / 2**30:.0f} GiB)"
 
 
 def missing() -> str:
@@ -92,7 +94,9 @@ def cards() -> tuple[Card, ...]:
 def driver_version() -> str | None:
     """Of the NVIDIA driver of the system; None where there is none, or it does not tell."""
     with suppress(OSError):
-        told = re.search(r"Kernel Module.*?\s(\d[\d.]+)\s", Path("/proc/driver/nvidia/version").read_text(errors="replace"))
+        told = re.search(
+            r"Kernel Module.*?\s(\d[\d.]+)\s", Path("/proc/driver/nvidia/version").read_text(errors="replace")
+        )
         return told[1] if told else None
     return None
 

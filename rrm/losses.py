@@ -36,6 +36,10 @@ def preference_loss(logits: Tensor, target: Tensor) -> Tensor:
 
 def window_sums(r_hat: Tensor, starts: Tensor, ends: Tensor) -> Tensor:
     """Sums [..., K] of the rewards [..., T] of steps `starts` up to, not including, `ends`, int64 [..., K]."""
+    if r_hat.device.type != "cpu":  # whose cumulative sums are in another order every time
+        steps = torch.arange(r_hat.shape[-1], device=r_hat.device)
+        inside = (steps >= starts.unsqueeze(-1)) & (steps < ends.unsqueeze(-1))
+        return (r_hat.unsqueeze(-2) * inside).sum(dim=-1)
     before = pad(r_hat.cumsum(dim=-1), (1, 0))
     at_starts, at_ends = before.gather(-1, torch.cat((starts, ends), dim=-1)).chunk(2, dim=-1)
     return at_ends - at_starts

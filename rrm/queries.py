@@ -79,7 +79,7 @@ def member_probabilities(
         for rows in torch.split(torch.from_numpy(pairs), _SCORED_AT_ONCE):
             first, second = (reward.members(experience.segments(rows[:, i], segment)).sum(-1) for i in (0, 1))
             parts.append(torch.sigmoid(second - first))
-    return torch.cat(parts, dim=-1).numpy()
+    return torch.cat(parts, dim=-1).cpu().numpy()
 
 
 def disagreement(probability: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
@@ -97,7 +97,7 @@ def mean_entropy(probability: npt.NDArray[np.float32]) -> npt.NDArray[np.float32
 
 def _states(experience: Experience, pairs: Rows, segment: int) -> npt.NDArray[np.float32]:
     obs = experience.segments(torch.from_numpy(pairs), segment).obs
-    return obs.flatten(1).numpy()
+    return obs.flatten(1).cpu().numpy()
 
 
 def _kcenter(points: npt.NDArray[np.float32], centers: npt.NDArray[np.float32], count: int) -> npt.NDArray[np.int64]:

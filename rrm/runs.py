@@ -14,6 +14,7 @@ import torch
 
 from rrm.checkpoint import read_networks
 from rrm.config import DrqConfig, EvaluationConfig
+from rrm.devices import CPU
 from rrm.envs.base import TaskEnv
 from rrm.envs.observer import Observer
 from rrm.errors import ConfigError
@@ -88,10 +89,15 @@ class Finished:
         self._folder = folder
         self._networks: State = read_networks(folder / "model.safetensors", "the run's networks")
 
+    @property
+    def _here(self) -> RunConfig:
+        """On the processor, wherever it has learned."""
+        return self.config.model_copy(update={"device": CPU})
+
     @cached_property
     def agent(self) -> Agent:
         """The agent as it was at the end."""
-        agent = build_agent(self.config, Streams(self.config.seed))
+        agent = build_agent(self._here, Streams(self.config.seed))
         agent.load_state_dict(self._networks["agent"])
         return agent
 
@@ -118,7 +124,7 @@ class Finished:
         """The learned reward; a `ConfigError` where the run learned none."""
         if not self.config.reward.kind.learned:
             raise ConfigError(f"{self._folder} holds no learned reward: the method is {self.config.method}")
-        reward = build_reward(self.config, Streams(self.config.seed))
+        reward = build_reward(self._here, Streams(self.config.seed))
         reward.load_state_dict(self._networks["reward"])
         return reward
 

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from rrm.devices import kind_of
 from rrm.types import State
 
 if TYPE_CHECKING:
@@ -56,7 +57,7 @@ class Streams:
 
             words = np.random.SeedSequence(_entropy(self._seed, name)).generate_state(1, np.uint64)
             self._torch[name] = torch.Generator(device=device).manual_seed(int(words[0]) >> 1)
-        if self._torch[name].device.type != device:
+        if self._torch[name].device.type != kind_of(device):
             raise ValueError(f"the stream {name!r} lives on {self._torch[name].device}, not on {device}")
         return self._torch[name]
 
@@ -69,5 +70,5 @@ class Streams:
     def load_state_dict(self, state: State) -> None:
         for name, saved in state["numpy"].items():
             self.numpy(name).bit_generator.state = saved
-        for name, saved in state["torch"].items():
-            self.torch(name).set_state(saved)
+        for name, saved in state["torch"].items():  # on whatever device it is by now
+            (self._torch.get(name) or self.torch(name)).set_state(saved)

@@ -1,6 +1,7 @@
 """What all tests share: one torch thread, no renderer, no trace in a home, and no deadlines, whatever the load."""
 
 import os
+import signal
 import tempfile
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
@@ -12,6 +13,8 @@ import pytest
 
 from rrm.errors import RenderingError
 from rrm.rendering import renderer
+
+signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell has what it puts in the background ignore it
 
 hypothesis.settings.register_profile("unhurried", deadline=None)
 hypothesis.settings.load_profile("unhurried")

@@ -16,6 +16,7 @@ from torch import Tensor
 
 from rrm.agents.checks import finite_action, finite_figures, restore, saved
 from rrm.nets.adam import FlatAdam
+from rrm.nets.captured import to
 from rrm.nets.encoder import Encoder, Pass
 from rrm.nets.tower import Tower, product, project
 
@@ -54,7 +55,7 @@ class Drq:
         self.config = config
         self.updates = 0  #: finished updates
         self._stack, self._act_dim, self._step, self._device = spaces.frames.stack, spaces.act, 0, device
-        self._init = streams.torch("init", device)
+        self._init = streams.torch("init")  # the same weights on any device
         self._noise = streams.torch("agent", device)
         self._explore = streams.torch("explore", device)
         self._shift = streams.numpy("shift")
@@ -112,7 +113,7 @@ class Drq:
 
     @torch.no_grad()
     def act(self, obs: Obs, *, explore: bool) -> Floats:
-        mean = self._mean(torch.from_numpy(obs.frames)[None])[0]
+        mean = self._mean(to(self._device, torch.from_numpy(obs.frames)[None]))[0]
         if explore:
             noise = torch.empty_like(mean).normal_(generator=self._explore)
             mean = (mean + self.stddev * noise).clamp(-_LARGEST, _LARGEST)

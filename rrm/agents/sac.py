@@ -10,6 +10,7 @@ counter decides when the target moves.
 from __future__ import annotations
 
 import math
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -19,6 +20,7 @@ from torch import Tensor
 from rrm.agents.checks import finite_action, finite_figures, restore, saved
 from rrm.losses import squashed_gaussian_log_prob
 from rrm.nets.adam import FlatAdam
+from rrm.nets.captured import Captured, pinned
 from rrm.nets.mlp import Memory, Pass, StackedMLP
 
 if TYPE_CHECKING:
@@ -102,6 +104,7 @@ class _Workspace:
         following, imagined, taken = torch.split(blocks, batch)
         both, self.batch = blocks[: 2 * batch], batch
         self.obs, self.act = blocks[:, :obs_dim], taken[:, obs_dim:]  #: of all blocks; of the last
+        self._given = torch.empty(2, batch, device=device)
         rows, memory, shared = slice(batch, None), Memory(actor, 2 * batch), Memory(critic, batch)
         self.actor = Pass(actor, both[:, :obs_dim], memory)
         self.ascent = Pass(actor, both[rows, :obs_dim], memory.part(rows))
@@ -116,6 +119,13 @@ class _Workspace:
             self.view(there.outputs[:, 0]) for there in (self.target, self.critic, self.imagined)
         )
         self.grad_taken, self.grad_q = self.view(self.critic.grad[:, 0]), self.view(self.imagined.grad[:, 0])
+        self.reward, self.continues = map(self.view, self._given)
+
+    def take(self, batch: Batch) -> None:
+        """Put a batch where updates read it."""
+        torch.cat((batch.next_obs, batch.obs, batch.obs), out=self.obs)
+        self.act.copy_(batch.act)
+        torch.stack((batch.reward, batch.continues), out=self._given)
 
 
 class Sac:
@@ -141,7 +151,7 @@ class Sac:
         self.obs_dim, self.act_dim = obs_dim, act_dim = spaces.obs, spaces.act
         self.critic_lr = config.critic_lr
         self.updates = 0  #: finished updates
-        self._init = streams.torch("init", device)
+        self._init = streams.torch("init")  # the same weights on any device
         self._noise = streams.torch("agent", device)
         self._explore = streams.torch("explore", device)
         self._lookahead = streams.torch("lookahead", device)
@@ -172,20 +182,41 @@ class Sac:
         }  # fmt: skip
         self._acting = Pass(self.actor, torch.empty(1, obs_dim, device=device))
         self._acts = _Sample(self._acting.outputs[0])
-        self._space = _Workspace(self.actor, self.critic, self.target, config.batch)
+        self._seen, self._chosen = pinned(device, 1, obs_dim), pinned(device, act_dim)
+        self._acts_by = {
+            explore: Captured(partial(self._act, explore), device, generators=[self._explore] if explore else [])
+            for explore in (False, True)
+        }
+        self._device = device
+        self._make_room(config.batch)
         self._last: tuple[Any, ...] | None = None  # what the figures of the last update are made of
+
+    def _make_room(self, batch: int) -> None:
+        """For updates with so many transitions."""
+        self._space = _Workspace(self.actor, self.critic, self.target, batch)
+        changed = [tensor for adam in self._adams.values() for tensor in adam.changed]
+        self._learning = Captured(self._learn, self._device, changed, [self._noise])
 
     def at(self, step: int) -> None:
         """Nothing of it depends on the step."""
 
     @torch.no_grad()
     def act(self, obs: Obs, *, explore: bool) -> Floats:
-        self._acting(torch.as_tensor(obs.state, dtype=torch.float32))
+        self._seen[0] = torch.as_tensor(obs.state, dtype=torch.float32)
+        self._acts_by[explore]()
+        if self._chosen.is_pinned():  # by a card that goes its own way
+            torch.cuda.current_stream(self._device).synchronize()
+        action: Floats = self._chosen.numpy().copy()
+        return finite_action(action, self.updates, f"the observation {obs.state.tolist()}")
+
+    def _act(self, explore: bool) -> None:
+        """From what is seen to what is chosen."""
+        self._acting.given.copy_(self._seen, non_blocking=True)
+        self._acting.forward()
         if explore:
             self._acts.draw(self._explore)
         act = self._acts.actions if explore else torch.tanh(self._acting.outputs[0, : self.act_dim])
-        action: Floats = act[:, 0].clamp(-1, 1).cpu().numpy()
-        return finite_action(action, self.updates, f"the observation {obs.state.tolist()}")
+        self._chosen.copy_(act[:, 0].clamp(-1, 1), non_blocking=True)
 
     @torch.no_grad()
     def log_prob(self, obs: Tensor, act: Tensor) -> Tensor:
@@ -198,33 +229,36 @@ class Sac:
     def update(self, batch: Batch) -> None:
         """One step of critic, actor and temperature; the target follows every second time, the first included."""
         if self._space.batch != len(batch.reward):
-            self._space = _Workspace(self.actor, self.critic, self.target, len(batch.reward))
+            self._make_room(len(batch.reward))
+        self._space.take(batch)
+        self._last = self._learning()
+        if self.updates % self.config.target_every == 0:
+            self.target.flat.lerp_(self.critic.flat, self.config.tau)
+        self.updates += 1
+
+    def _learn(self) -> tuple[Any, ...]:
+        """All of an update but the target's; returns what its figures are made of."""
         space = self._space
         log_alpha, grad = space.view(self.log_alpha), space.view(self._log_alpha_grad)
         alpha = space.xp.exp(log_alpha)
-        torch.cat((batch.next_obs, batch.obs, batch.obs), out=space.obs)
-        space.act.copy_(batch.act)
         # One pass samples for the next observations and the present ones: the actor changes only after either was used.
         space.actor.forward()
         space.sample.draw(self._noise)
         log_prob = space.sample.log_prob()
-        error = self._update_critic(batch, log_prob[: space.batch], alpha)
+        error = self._update_critic(log_prob[: space.batch], alpha)
         self._update_actor(alpha)
         # The loss of the temperature is alpha * (entropy - target), with target -A: its gradient in log alpha, too.
         entropy = -log_prob[space.rows].mean()
         grad[...] = alpha * (entropy + self.act_dim)
         self._adams["alpha"].step()
-        if self.updates % self.config.target_every == 0:
-            self.target.flat.lerp_(self.critic.flat, self.config.tau)
-        self._last = error, space.q, entropy, alpha
-        self.updates += 1
+        return error, space.q, entropy, alpha
 
-    def _update_critic(self, batch: Batch, next_log_prob: Any, alpha: Any) -> Any:
+    def _update_critic(self, next_log_prob: Any, alpha: Any) -> Any:
         """Regress both critics on the soft value of the next state; returns their errors, [2, B]."""
         space = self._space
         space.target.forward()
         value = space.xp.minimum(space.q_next[0], space.q_next[1]) - alpha * next_log_prob
-        q_target = space.view(batch.reward) + self.config.discount * space.view(batch.continues) * value
+        q_target = space.reward + self.config.discount * space.continues * value
         space.critic.forward()
         error = space.q_taken - q_target
         space.grad_taken[...] = error * (2 / space.batch)

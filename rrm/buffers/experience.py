@@ -22,7 +22,10 @@ import torch
 from torch import Tensor
 
 from rrm.buffers.frames import Frames
+from rrm.buffers.table import Table
 from rrm.checkpoint import KEPT, AppendLog
+from rrm.devices import CPU, kind_of
+from rrm.nets.captured import to
 from rrm.types import Batch, Segments, Transition
 
 if TYPE_CHECKING:
@@ -33,7 +36,7 @@ if TYPE_CHECKING:
 _STEP, _TERMINATED, _TRUNCATED, _END = range(4)
 _LOGGED = ("obs", "act", "prior", "raw_prior", "true_reward", "kind")
 _FRAMES = "frames.bin"
-_RELABEL_ROWS = 1 << 11  # keeps the activations of the reward ensemble within the caches' reach
+_RELABEL_ROWS = {"cpu": 1 << 11, "cuda": 1 << 14}  # the activations of the ensemble stay within a processor's caches
 
 
 class Episode(NamedTuple):
@@ -46,20 +49,18 @@ class Episode(NamedTuple):
 class Experience:
     """Transitions of one run; rows are appended, only the learned reward changes."""
 
-    def __init__(self, steps: int, horizon: int, spaces: Spaces, window: int = 1) -> None:
+    def __init__(self, steps: int, horizon: int, spaces: Spaces, window: int = 1, device: str = CPU) -> None:
         """Args:
         steps: transitions to make room for.
         horizon: of an episode that does not end before its time.
         window: consecutive steps that are drawn together, see `windows`.
+        device: where what is drawn is learned from. The columns are the host's; a card has some of its own besides.
         """
         rows = steps + steps // horizon + 2  # memory is touched only as they come
-        self.obs = torch.empty(rows, spaces.obs)
-        self.act = torch.empty(rows, spaces.act)
-        self.prior = torch.empty(rows)
-        self.raw_prior = torch.empty(rows)
-        self.true_reward = torch.empty(rows)
-        self.reward = torch.empty(rows)
-        self.kind = torch.empty(rows, dtype=torch.uint8)
+        self.device = device
+        self._spaces = spaces
+        self._table: Table | None = None
+        self._make_room(rows)
         self.rows = 0  #: that are filled
         self.generation = 0  #: of the reward column: one more whenever all of it is rewritten
         self._saved_rows = 0
@@ -75,15 +76,38 @@ class Experience:
         self.episodes: list[Episode] = []
         self._episode_start = 0
 
+    def _make_room(self, rows: int) -> None:
+        spaces = self._spaces
+        self.raw_prior = torch.empty(rows)
+        self.true_reward = torch.empty(rows)
+        self.kind = torch.empty(rows, dtype=torch.uint8)
+        if kind_of(self.device) == CPU:
+            self.obs, self.act = torch.empty(rows, spaces.obs), torch.empty(rows, spaces.act)
+            self.prior, self.reward = torch.empty(rows), torch.empty(rows)
+            return
+        self._table = Table(rows, spaces, self.device, self._continues)
+        self.obs, self.act, self.prior, self.reward = self._table.columns()
+
+    @property
+    def near(self) -> Experience | Table:
+        """The columns `obs`, `act`, `prior` and `reward` where what is drawn is learned from."""
+        if self._table is None:
+            return self
+        self._table.bring(self.rows)
+        return self._table
+
+    def _continues(self, rows: slice) -> tuple[Tensor, Tensor]:
+        kind = self.kind[rows]
+        return kind != _TERMINATED, kind == _STEP
+
     def reserve(self, rows: int) -> None:
         """Make room for as many rows, with half as many again to come."""
         if rows <= len(self.kind):
             return
-        for name in (*_LOGGED, "reward"):
-            old: Tensor = getattr(self, name)
-            new = torch.empty(rows + rows // 2, *old.shape[1:], dtype=old.dtype)
-            new[: len(old)] = old
-            setattr(self, name, new)
+        old = {name: getattr(self, name) for name in (*_LOGGED, "reward")}
+        self._make_room(rows + rows // 2)
+        for name, column in old.items():
+            getattr(self, name)[: len(column)] = column
 
     def append(self, step: Transition, reward: float) -> None:
         """One environment step, and the reward that the agent is given for it."""
@@ -139,9 +163,13 @@ class Experience:
         """The batch of so many steps from each of `rows` [B] on, with what was seen before, between and behind them."""
         if self.frames is None:
             return batch
-        return batch._replace(frames=self.frames.windows(rows.tolist(), self._depth(rows).tolist(), steps + 1))
+        seen = self.frames.windows(rows.tolist(), self._depth(rows).tolist(), steps + 1)
+        return batch._replace(frames=to(self.device, seen))
 
     def _batch(self, rows: Tensor, *, time_limits_end: bool = False) -> Batch:
+        near = self.near
+        if isinstance(near, Table):
+            return near.batch(rows, time_limits_end=time_limits_end)
         kind = self.kind[rows]
         on = kind == _STEP if time_limits_end else kind != _TERMINATED
         return Batch(
@@ -183,10 +211,11 @@ class Experience:
     def segments(self, starts: Tensor, length: int) -> Segments:
         """The `length` steps from each row of `starts` [...] on; every field starts with the axes [..., length]."""
         rows = starts.unsqueeze(-1) + torch.arange(length)
-        return Segments(self.seen(rows), self.act[rows], self.prior[rows])
+        near, there = self.near, to(self.device, rows)
+        return Segments(to(self.device, self.seen(rows)), near.act[there], near.prior[there])
 
     def _observed(self, rows: Tensor) -> Tensor:
-        return self.obs[rows]
+        return self.near.obs[to(self.device, rows)]
 
     def true_rewards(self, starts: npt.NDArray[np.int64], length: int) -> Floats:
         """True reward of the same steps, float32 [..., length]. For teachers and evaluation alone."""
@@ -198,10 +227,13 @@ class Experience:
 
     def relabel(self, predict: Callable[[Tensor, Tensor, Tensor], Tensor]) -> None:
         """Rewrite the reward of every row by `predict(seen, act, prior)`, with the prior as it was stored."""
-        for begin in range(0, self.rows, _RELABEL_ROWS):
-            part = slice(begin, min(begin + _RELABEL_ROWS, self.rows))
-            seen = self.seen(torch.arange(part.start, part.stop))
-            self.reward[part] = predict(seen, self.act[part], self.prior[part])
+        near, at_once = self.near, _RELABEL_ROWS[kind_of(self.device)]
+        for begin in range(0, self.rows, at_once):
+            part = slice(begin, min(begin + at_once, self.rows))
+            seen = to(self.device, self.seen(torch.arange(part.start, part.stop)))
+            near.reward[part] = predict(seen, near.act[part], near.prior[part])
+        if isinstance(near, Table):
+            near.rewarded(self.rows)
         self.generation += 1
 
     def save(self, folder: Path) -> State:
@@ -249,6 +281,8 @@ class Experience:
         self._saved_rows = self.rows
         self._saved_generations = deque([self.generation], maxlen=KEPT)
         self.obs[self.rows] = state["next_obs"]
+        if self._table is not None:
+            self._table.forget()
         if self.frames is not None:
             self.frames.load(folder / _FRAMES, state["frames"])
         kinds = self.kind[: self.rows].numpy()

@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from rrm.buffers.experience import Experience
+from rrm.nets.captured import to
 from rrm.types import Segments, State
 
 FIRST, SECOND, EQUAL, SKIPPED = 0.0, 1.0, 0.5, float("nan")  #: a teacher's answers
@@ -94,7 +95,7 @@ class StoredFeedback:
         return len(self._unlabelled)
 
     def pairs(self, index: Tensor) -> tuple[Segments, Segments, Tensor]:
-        target = torch.from_numpy(self._preferences.labels)[index]
+        target = to(self._experience.device, torch.from_numpy(self._preferences.labels)[index])
         return *self._segments(self._preferences, index), target
 
     def newest(self) -> Tensor:

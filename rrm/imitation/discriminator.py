@@ -17,8 +17,10 @@ from torch import Generator, Tensor
 from torch.nn.functional import binary_cross_entropy_with_logits
 
 from rrm.config import ImitationConfig
+from rrm.devices import CPU
 from rrm.errors import NumericalError
 from rrm.nets.adam import FlatAdam
+from rrm.nets.captured import to
 from rrm.nets.mlp import StackedMLP
 from rrm.precision import Precision
 from rrm.types import Batch, State
@@ -40,11 +42,13 @@ class RewardNet:
         obs_dim: int,
         act_dim: int,
         generator: Generator | None,
+        *,
         precision: Precision = "float32",
+        device: str = CPU,
     ) -> None:
         self.net = StackedMLP(
             1, obs_dim + act_dim, config.hidden, config.layers, 1,
-            init="torch", generator=generator, precision=precision,
+            init="torch", generator=generator, precision=precision, device=device,
         )  # fmt: skip
         self.bounded = config.head == "tanh"
 
@@ -68,6 +72,17 @@ def joined(expert: Batch, policy: Batch) -> Batch:
     return Batch(*(None if e is None or p is None else torch.cat((e, p)) for e, p in pairs))  # type: ignore[arg-type]
 
 
+def on_device(device: str, batch: Batch) -> Batch:
+    """The batch on a device."""
+    return Batch(*(field if field is None else to(device, field) for field in batch))  # type: ignore[arg-type]
+
+
+def experts_first(both: Batch) -> Tensor:
+    """What a discriminator is to say of what `joined` made: 1 of the expert's half, 0 of the policy's, [2 B]."""
+    count = len(both.act)
+    return (torch.arange(count, device=both.act.device) < count // 2).float()
+
+
 class Discriminator:
     """Reward g and shaping h with one optimiser step for both; what g is trained on is `config.pretrain`."""
 
@@ -82,13 +97,16 @@ class Discriminator:
         *,
         generator: Generator,
         precision: Precision = "float32",
+        device: str = CPU,
     ) -> None:
         self.config = config
         self.discount = discount
-        self.g = RewardNet(config, obs_dim, act_dim, generator, precision)
+        self.device = device
+        self.g = RewardNet(config, obs_dim, act_dim, generator, precision=precision, device=device)
         self.h = StackedMLP(
-            1, obs_dim, config.hidden, config.layers, 1, init="torch", generator=generator, precision=precision
-        )
+            1, obs_dim, config.hidden, config.layers, 1,
+            init="torch", generator=generator, precision=precision, device=device,
+        )  # fmt: skip
         self._sizes = {"obs_dim": obs_dim, "act_dim": act_dim}
         self.nets: dict[str, StackedMLP | Encoder] = {}
         self._adams: dict[str, FlatAdam] = {}
@@ -122,7 +140,7 @@ class Discriminator:
             log_prob: of their actions, under the policy as it is, nats [2 B].
         """
         g, h, count = self.g.net, self.h, len(both.obs)
-        is_expert = torch.zeros(count).index_fill_(0, torch.arange(count // 2), 1.0)
+        is_expert = experts_first(both)
         pairs_in = torch.cat((both.obs, both.act), dim=1)
         here = g.take(pairs_in.shape)
         reward = self.g.headed(here(pairs_in)[0, 0])

@@ -14,8 +14,9 @@ from torch import Generator, Tensor
 from torch.nn.functional import binary_cross_entropy_with_logits, layer_norm
 
 from rrm.config import DrqConfig, ImitationConfig
+from rrm.devices import CPU
 from rrm.envs.spaces import FrameSpace
-from rrm.imitation.discriminator import Discriminator
+from rrm.imitation.discriminator import Discriminator, experts_first
 from rrm.nets.encoder import Encoder, Pass
 from rrm.nets.mlp import StackedMLP
 from rrm.precision import Precision
@@ -40,11 +41,15 @@ class Eye:
         frames: FrameSpace,
         known: slice,
         generator: Generator | None,
+        *,
         precision: Precision = "float32",
+        device: str = CPU,
     ) -> None:
         self.agent, self.frames, self.known = agent, frames, known
-        self.encoder = Encoder(agent, frames, generator, precision)
-        self.projection = StackedMLP(1, self.encoder.outputs, 1, 0, agent.features, init="torch", generator=generator)
+        self.encoder = Encoder(agent, frames, generator, precision, device)
+        self.projection = StackedMLP(
+            1, self.encoder.outputs, 1, 0, agent.features, init="torch", generator=generator, device=device
+        )
         self.outputs = agent.features + known.stop - known.start
 
     def __call__(self, stacks: Tensor, obs: Tensor) -> Tensor:
@@ -87,8 +92,11 @@ class VisualDiscriminator(Discriminator):
         *,
         generator: Generator,
         precision: Precision = "float32",
+        device: str = CPU,
     ) -> None:
-        super().__init__(config, eye.outputs, act_dim, discount, generator=generator, precision=precision)
+        super().__init__(
+            config, eye.outputs, act_dim, discount, generator=generator, precision=precision, device=device
+        )
         self.eye = eye
         self._add(encoder=eye.encoder, projection=eye.projection)
         self._pass = Pass(eye.encoder, 4 * config.minibatch)
@@ -119,7 +127,7 @@ class VisualDiscriminator(Discriminator):
         features = self._pass.forward(stacks).detach().float().requires_grad_()
         for net in self._autograd:
             net.flat_grad.zero_()
-        is_expert = torch.zeros(len(log_prob)).index_fill_(0, torch.arange(len(log_prob) // 2), 1.0)
+        is_expert = experts_first(both)
         g, h = self._told(features, windows)
         if self.config.pretrain == "airl":
             logit = (g + self._shaping(windows, h))[:, 0] - log_prob

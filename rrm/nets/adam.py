@@ -25,7 +25,8 @@ class FlatAdam:
         self.lr = lr
         self._mean = torch.zeros_like(param)
         self._square = torch.zeros_like(param)
-        self._steps = 0
+        self._steps = 0  # on a processor; a card counts for itself, so that nobody has to tell it
+        self._counted = torch.zeros((), device=param.device)
         self._factors = np.zeros(2, np.float32)  # step size and root, both with the bias of the moments taken out
         places = [part.data_ptr() for part in (param, grad, self._mean, self._square)]
         self._work = Coded([(ADAM, *places, param.numel(), self._factors.ctypes.data)], self)
@@ -33,29 +34,38 @@ class FlatAdam:
     @torch.no_grad()
     def step(self) -> None:
         """One step along the gradient now in the buffer."""
-        self._steps += 1
         if self.param.device.type == "cpu":
+            self._steps += 1
             first, second = (1 - beta**self._steps for beta in _BETAS)
             self._factors[:] = self.lr / first, 1 / math.sqrt(second)
             self._work()
             return
-        steps = torch.full((), float(self._steps), device=self.param.device)
+        self._counted += 1
         torch._fused_adam_(
-            [self.param], [self.grad], [self._mean], [self._square], [], [steps],
+            [self.param], [self.grad], [self._mean], [self._square], [], [self._counted],
             lr=self.lr, beta1=_BETAS[0], beta2=_BETAS[1], weight_decay=0.0, eps=_EPSILON, amsgrad=False, maximize=False,
         )  # fmt: skip
 
     def reset(self) -> None:
         self._mean.zero_()
         self._square.zero_()
-        self._steps = 0
+        self._count(0)
+
+    def _count(self, steps: int) -> None:
+        self._steps = steps
+        self._counted.fill_(steps)
+
+    @property
+    def changed(self) -> list[Tensor]:
+        """Everything that a step on a card changes."""
+        return [self.param, self._mean, self._square, self._counted]
 
     def state_dict(self) -> State:
         """Both moments and the number of steps; the parameters belong to their network."""
-        steps = torch.tensor(float(self._steps))
+        steps = torch.tensor(float(self._steps)) if self.param.device.type == "cpu" else self._counted.clone()
         return {"mean": self._mean.clone(), "square": self._square.clone(), "steps": steps}
 
     def load_state_dict(self, state: State) -> None:
         self._mean.copy_(state["mean"])
         self._square.copy_(state["square"])
-        self._steps = int(state["steps"])
+        self._count(int(state["steps"]))

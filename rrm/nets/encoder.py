@@ -41,7 +41,7 @@ class Encoder:
         generator: where the initial weights are drawn from, orthogonal with gain sqrt(2); None leaves them zero, for an
             encoder that is about to be loaded or copied into.
         precision: of the convolutions; sums of them are float32, and so are weights and gradients.
-        device: where the parameters live; the generator must be of the same device.
+        device: where the parameters live; the generator may be of another.
     """
 
     def __init__(
@@ -53,7 +53,7 @@ class Encoder:
         device: torch.device | str = "cpu",
     ) -> None:
         self._made = config, frames, precision, device
-        self.dtype = getattr(torch, precision)
+        self.dtype = torch.bfloat16 if precision == "bfloat16" else torch.float32
         self.strides = config.strides
         widths = [frames.stack * frames.channels, *[config.channels] * len(self.strides)]
         sides = [(frames.height, frames.width)]
@@ -74,7 +74,7 @@ class Encoder:
         self._leaves = self._parameters.leaves()
         if generator is not None:
             for weight in _planar(self._parameters.values)[::2]:
-                drawn = torch.empty(weight.shape, device=device)
+                drawn = torch.empty(weight.shape, device=generator.device)
                 weight.copy_(nn.init.orthogonal_(drawn, math.sqrt(2), generator=generator))
 
     def frozen(self) -> Encoder:

@@ -7,7 +7,8 @@ and values directly and where there is little to gain, multiply in float32. Of a
 convolutions and the products with their features that are rounded so, to which whole pixels are exact; what follows is
 float32.
 
-`tf32` is of graphics cards: products of all layers round what they multiply to 10 bits of mantissa, and nothing else does.
+`tf32` is of graphics cards: products of all layers round what they multiply to 10 bits of mantissa, and nothing else
+does.
 """
 
 from __future__ import annotations

@@ -85,7 +85,10 @@ def activate(activation: Activation, source: Tensor, bias: Tensor, target: Tenso
             (ACTIVATE, *_at(x), b.data_ptr(), *_at(y)[::3], kind) for x, b, y in zip(source, bias, target, strict=True)
         ]
         return Coded(rows, (source, bias, target))
-    return lambda: target.copy_(nn.functional.leaky_relu(source + bias, _SLOPES[activation]))
+    slope = _SLOPES[activation]
+    if source.dtype == target.dtype == torch.float32:
+        return lambda: nn.functional.leaky_relu_(torch.add(source, bias, out=target), slope)
+    return lambda: target.copy_(nn.functional.leaky_relu(source + bias, slope))
 
 
 def undo(
@@ -109,9 +112,14 @@ def undo(
         return Coded(rows, (source, activated, target, total))
 
     def work() -> None:
-        gradient = source.float()
-        gradient = torch.where(activated <= 0, gradient * _SLOPES[activation], gradient)
-        target.copy_(gradient)
+        if source.dtype == target.dtype == torch.float32:
+            gradient = torch.ops.aten.leaky_relu_backward.grad_input(
+                source, activated, _SLOPES[activation], True, grad_input=target
+            )
+        else:
+            gradient = source.float()
+            gradient = torch.where(activated <= 0, gradient * _SLOPES[activation], gradient)
+            target.copy_(gradient)
         if total is not None:
             torch.sum(gradient, 1, keepdim=True, out=total)
 

@@ -8,6 +8,7 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
+from rrm.nets.captured import to
 from rrm.nets.compiled import move
 
 Moves = npt.NDArray[np.int64]
@@ -22,6 +23,8 @@ def pictures(frames: Tensor, moves: Moves | None = None) -> Tensor:
             beyond the edge that is the edge's, as if the picture went on.
     """
     count, planes, (height, width) = len(frames), frames.shape[1] * frames.shape[2], frames.shape[3:]
+    if frames.device.type != "cpu":
+        return _gathered(frames.flatten(1, 2), moves)
     if not frames[0].is_contiguous():
         frames = frames.contiguous()
     if moves is None:
@@ -32,3 +35,17 @@ def pictures(frames: Tensor, moves: Moves | None = None) -> Tensor:
     for target, source in zip(together, moved.reshape(count, planes, -1), strict=True):
         target[...] = cv2.transpose(source)
     return torch.from_numpy(together.view(np.int8)).view(count, height, width, planes).permute(0, 3, 1, 2)
+
+
+def _gathered(planes: Tensor, moves: Moves | None) -> Tensor:
+    """The same of planes [B, planes, height, width] on a card."""
+    if moves is not None:
+        by = to(planes.device, torch.from_numpy(moves))
+        rows, columns = (
+            (torch.arange(side, device=planes.device) + by[:, axis, None]).clamp_(0, side - 1)
+            for axis, side in enumerate(planes.shape[2:])
+        )
+        one, every = (torch.arange(n, device=planes.device) for n in planes.shape[:2])
+        planes = planes[one[:, None, None, None], every[:, None, None], rows[:, None, :, None], columns[:, None, None]]
+    shifted = planes.permute(0, 2, 3, 1).contiguous() - 128  # wraps as it should: 0 is -128 in int8
+    return shifted.view(torch.int8).permute(0, 3, 1, 2)

@@ -75,11 +75,11 @@ class Tower:
         """Keep this share of every linear layer, and draw the rest anew; what normalises stays."""
         for role, value in zip(self._roles, self._parameters.values, strict=True):
             if role in _LINEAR:
-                drawn = torch.zeros_like(value)
+                drawn = torch.zeros_like(value, device=generator.device)
                 if role == "weight":
                     for member in drawn.view(-1, *value.shape[-2:]):
                         nn.init.orthogonal_(member, generator=generator)
-                value.mul_(kept).add_(drawn, alpha=1 - kept)
+                value.mul_(kept).add_(drawn.to(value.device), alpha=1 - kept)
 
     def outputs(
         self, pre: Tensor, extra: Tensor | None = None, *, frozen: bool = False, noise: torch.Generator | None = None

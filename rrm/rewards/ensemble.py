@@ -17,6 +17,7 @@ import torch
 from torch import Generator, Tensor
 
 from rrm.config import RewardConfig
+from rrm.devices import CPU
 from rrm.nets.mlp import StackedMLP
 from rrm.precision import Precision
 from rrm.types import Segments, State
@@ -32,21 +33,33 @@ class EnsembleReward:
     _standard = False  # whether observations are shifted and scaled before they are looked at
 
     def __init__(
-        self, config: RewardConfig, obs_dim: int, act_dim: int, generator: Generator, precision: Precision = "float32"
+        self,
+        config: RewardConfig,
+        obs_dim: int,
+        act_dim: int,
+        generator: Generator | None,
+        *,
+        precision: Precision = "float32",
+        device: str = CPU,
     ) -> None:
+        """Args:
+        generator: draws the initial weights, on whatever device; None leaves them zero, to be loaded.
+        device: where rewards are computed, and what they are computed from is.
+        """
         self._config = config
         self._standard = config.inputs == "standard"
-        self._shift, self._factor = torch.zeros(obs_dim), torch.ones(obs_dim)
+        self._shift, self._factor = torch.zeros(obs_dim, device=device), torch.ones(obs_dim, device=device)
         self._linear = self.on_prior and config.bound == "gaussian"  # nothing bounds what the networks say
         self._net = StackedMLP(
             config.members, obs_dim + act_dim + self.on_prior, config.hidden, config.layers, 1,
-            activation="leaky_relu", init="torch", generator=generator, precision=precision,
+            activation="leaky_relu", init="torch", generator=generator, precision=precision, device=device,
         )  # fmt: skip
 
     def begin(self, obs: Tensor) -> None:
         if self._standard:
-            std, self._shift = torch.std_mean(obs, dim=0, correction=0)
-            self._factor = 1 / std.clamp(min=_SMALLEST)
+            std, mean = torch.std_mean(obs, dim=0, correction=0)
+            self._shift.copy_(mean)
+            self._factor.copy_(1 / std.clamp(min=_SMALLEST))
 
     def members(self, segments: Segments) -> Tensor:
         return self._outputs(self._inputs(segments))
@@ -86,7 +99,8 @@ class EnsembleReward:
     def load_state_dict(self, state: State) -> None:
         self._net.flat.copy_(state["weights"])
         if self._standard:
-            self._shift, self._factor = state["shift"].clone(), state["scale"].clone()
+            self._shift.copy_(state["shift"])
+            self._factor.copy_(state["scale"])
 
 
 class ResidualReward(EnsembleReward):

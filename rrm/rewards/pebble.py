@@ -19,7 +19,9 @@ from rrm.interfaces import CriticAgent, Feedback, Needs, RewardFunction
 from rrm.losses import preference_logit, preference_loss
 from rrm.types import Batch, Segments, State
 
-PAIRS_AT_ONCE = 16  #: of each member, forward and backward: their activations fit into the caches
+#: Pairs of each member, forward and backward, by the kind of device: their activations fit into a processor's caches; a
+#: card takes a minibatch as a whole.
+PAIRS_AT_ONCE = {"cpu": 16, "cuda": 1 << 12}
 
 
 def told_right(logit: Tensor, target: Tensor) -> tuple[Tensor, Tensor]:
@@ -47,6 +49,8 @@ class Pebble:
         self.config = config
         self._rng = rng
         self._optimizer = torch.optim.Adam(reward.parameters(), lr=config.lr, fused=True)
+        self._device = reward.parameters()[0].device
+        self._at_once = PAIRS_AT_ONCE[self._device.type]
 
     def fit(self, feedback: Feedback) -> dict[str, float]:
         """Up to `epochs` passes over all labels and `most_steps` gradient steps, until the accuracy of an epoch exceeds
@@ -67,11 +71,11 @@ class Pebble:
         """Accuracy and loss of a pass of so many gradient steps at the most, and how many there were."""
         members, count, steps = self.config.members, len(feedback), 0
         order = torch.from_numpy(np.stack([self._rng.permutation(count) for _ in range(members)]))
-        figures = torch.zeros(3)
+        figures = torch.zeros(3, device=self._device)
         for index in torch.split(order, self.config.minibatch, dim=1):
             self._optimizer.zero_grad(set_to_none=True)
             # The gradient of a minibatch is the sum over its parts, which fit into the caches.
-            for part in torch.split(index, PAIRS_AT_ONCE, dim=1):
+            for part in torch.split(index, self._at_once, dim=1):
                 first, second, target = feedback.pairs(part)
                 rewards, penalty = self._rewards(first, second)
                 logit = preference_logit(*rewards)

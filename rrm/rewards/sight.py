@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING
 import torch
 from torch import Tensor
 
+from rrm.nets.captured import to
+
 if TYPE_CHECKING:
     from rrm.buffers.experience import Experience
     from rrm.interfaces import FrameEncoder
@@ -47,7 +49,7 @@ class Sight:
 
     def one(self, frames: Pixels) -> Tensor:
         """Features [1, R] of what was seen at one step, [stack, channels, height, width]."""
-        return self._encoder.encode(torch.from_numpy(frames)[None])
+        return self._looks(torch.from_numpy(frames)[None])
 
     def renew(self, encoder: FrameEncoder) -> None:
         """See with this encoder as it is now."""
@@ -57,18 +59,21 @@ class Sight:
 
     def _forget(self) -> None:
         """Memory is touched only as rows come, and given back here."""
-        self._remembered = torch.empty(self._most, self._encoder.outputs, dtype=torch.float16)
+        self._remembered = torch.empty(self._most, self._encoder.outputs, dtype=torch.float16)  # of the host
         self._known = 0
 
     def _remember(self, rows: int) -> None:
         for begin in range(self._known, rows, _AT_ONCE):
             end = min(begin + _AT_ONCE, rows)
-            self._remembered[begin:end] = self._encoder.encode(self._experience.stacks(begin, end))
+            self._remembered[begin:end] = self._looks(self._experience.stacks(begin, end))
             self._known = end
 
     def _looked(self, begin: int, end: int) -> Tensor:
         looks = (self._experience.stacks(b, min(b + _AT_ONCE, end)) for b in range(begin, end, _AT_ONCE))
-        return torch.cat([self._encoder.encode(stacks) for stacks in looks])
+        return torch.cat([self._looks(stacks) for stacks in looks])
+
+    def _looks(self, stacks: Tensor) -> Tensor:
+        return self._encoder.encode(to(self._experience.device, stacks))
 
     def state_dict(self) -> State:
         return {"encoder": self._encoder.flat.clone(), "session_rows": self._session_rows}

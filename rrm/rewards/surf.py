@@ -19,7 +19,8 @@ from torch import Tensor
 from rrm.config import RewardConfig
 from rrm.interfaces import Feedback, RewardFunction
 from rrm.losses import preference_loss, pseudo_label_loss, window_sums
-from rrm.rewards.pebble import PAIRS_AT_ONCE, Pebble, learned, told_right
+from rrm.nets.captured import to
+from rrm.rewards.pebble import Pebble, learned, told_right
 from rrm.types import Segments, State
 
 
@@ -40,12 +41,12 @@ class Surf(Pebble):
         labelled = _minibatches(self._rng, config.members, count, config.minibatch)
         unlabelled = _minibatches(self._rng, config.members, feedback.unlabelled, config.minibatch * config.surf.ratio)
         steps, a_pass = (math.ceil(epochs * count / config.minibatch) for epochs in (config.epochs, 1))
-        figures, pseudo = torch.zeros(4), 0
+        figures, pseudo = torch.zeros(4, device=self._device), 0
         steps = min(steps, config.most_steps or steps)
         a_pass = min(steps, a_pass)
         for step in range(steps):
             if step == steps - a_pass:
-                figures, pseudo = torch.zeros(4), 0
+                figures, pseudo = torch.zeros(4, device=self._device), 0
             self._optimizer.zero_grad(set_to_none=True)
             figures[:3] += self._labelled(feedback, next(labelled))
             index = next(unlabelled)
@@ -58,8 +59,8 @@ class Surf(Pebble):
 
     def _labelled(self, feedback: Feedback, index: Tensor) -> Tensor:
         """Add the gradient of the labelled pairs at `index` [N, B]: pairs told right, pairs without a tie, loss."""
-        figures = torch.zeros(3)
-        for part in torch.split(index, PAIRS_AT_ONCE, dim=1):
+        figures = torch.zeros(3, device=self._device)
+        for part in torch.split(index, self._at_once, dim=1):
             first, second, target = feedback.pairs(part)
             crop, middle, penalty = self._logits(first, second)
             loss = (preference_loss(crop, target) + penalty) * (part.shape[1] / index.shape[1])
@@ -69,8 +70,8 @@ class Surf(Pebble):
 
     def _unlabelled(self, feedback: Feedback, index: Tensor) -> Tensor:
         """Add the gradient of the pairs without a label at `index` [N, B]: loss, and pseudo-labels that count."""
-        figures = torch.zeros(2)
-        for part in torch.split(index, PAIRS_AT_ONCE, dim=1):
+        figures = torch.zeros(2, device=self._device)
+        for part in torch.split(index, self._at_once, dim=1):
             crop, middle, _ = self._logits(*feedback.unlabelled_pairs(part))
             loss, sure = pseudo_label_loss(crop, middle, self.config.surf.threshold)
             loss = loss * (self.config.surf.weight * part.shape[1] / index.shape[1])
@@ -82,7 +83,8 @@ class Surf(Pebble):
         """Log-odds for the second of every pair, [N, B]: cropped, and of the middles; and the penalty."""
         rewards, penalty = self._rewards(first, second)
         steps = torch.cat(rewards, dim=1)
-        sums = window_sums(steps, *map(torch.from_numpy, self._windows(*steps.shape)))
+        starts, ends = (to(self._device, torch.from_numpy(edge)) for edge in self._windows(*steps.shape))
+        sums = window_sums(steps, starts, ends)
         by_first, by_second = sums.chunk(2, dim=1)
         crop, middle = (by_second - by_first).unbind(dim=-1)
         return crop, middle, penalty

@@ -15,6 +15,7 @@ from torch import Generator, Tensor
 from torch.nn.functional import layer_norm
 
 from rrm.config import RewardConfig
+from rrm.devices import CPU
 from rrm.precision import Precision
 from rrm.rewards.ensemble import EnsembleReward, ResidualReward
 from rrm.types import Segments, State
@@ -28,16 +29,19 @@ class VisualReward(EnsembleReward):
         config: RewardConfig,
         features: int,
         act_dim: int,
-        generator: Generator,
-        precision: Precision = "float32",
+        generator: Generator | None,
         *,
+        precision: Precision = "float32",
+        device: str = CPU,
         width: int,
     ) -> None:
         """Args: features: of an observation, R; width: numbers that are made of them."""
-        super().__init__(config, width, act_dim, generator, precision)
-        self._projection = torch.empty(config.members, features, width)
-        bound = 1 / math.sqrt(features)
-        self._projection.uniform_(-bound, bound, generator=generator).requires_grad_()
+        super().__init__(config, width, act_dim, generator, precision=precision, device=device)
+        drawn = torch.zeros(config.members, features, width)
+        if generator is not None:
+            bound = 1 / math.sqrt(features)
+            drawn.uniform_(-bound, bound, generator=generator)
+        self._projection = drawn.to(device).requires_grad_()
 
     def _inputs(self, segments: Segments) -> Tensor:
         members, features, width = self._projection.shape

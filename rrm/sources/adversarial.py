@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import torch
 
-from rrm.imitation.discriminator import Discriminator, joined
+from rrm.imitation.discriminator import Discriminator, joined, on_device
 from rrm.imitation.finetune import GradientLog
 from rrm.losses import with_uniform
 from rrm.moments import RunningMoments
@@ -82,7 +82,7 @@ class Adversarial(RewardSource):
         for _ in range(config.updates):
             numbers = torch.randint(len(self._demos), (config.minibatch,), generator=self._generator)
             policy = self._replay.draw(config.minibatch, self._generator, newest=config.window)
-            both = joined(self._demos.batch(numbers), policy)
+            both = joined(self._shown(numbers), policy)
             log_prob = with_uniform(self.discriminator.density(agent, both), config.uniform, both.act.shape[1])
             norm = self.discriminator.step(both, log_prob)
             if self._about is None:
@@ -94,7 +94,12 @@ class Adversarial(RewardSource):
         blank, continues, frames = torch.zeros(1), torch.tensor([0.0 if step.terminated else 1.0]), None
         if step.frames is not None and step.next_frames is not None:
             frames = torch.from_numpy(np.concatenate((step.frames, step.next_frames[-1:])))[None]
-        return float(self.scale.over_std(self._raw(Batch(obs, act, blank, blank, next_obs, continues, frames))))
+        lived = Batch(obs, act, blank, blank, next_obs, continues, frames)
+        return float(self.scale.over_std(self._raw(on_device(self.discriminator.device, lived))))
+
+    def _shown(self, numbers: Tensor) -> Batch:
+        """Transitions of the demonstrations, where the discriminator looks at them."""
+        return on_device(self.discriminator.device, self._demos.batch(numbers))
 
     def batch(self, agent: Agent) -> Batch:  # noqa: ARG002 (the seam of others)
         """Transitions with their reward now; the deviation takes the batch in first."""
@@ -120,7 +125,7 @@ class Adversarial(RewardSource):
             return
         shown, lived = len(self._demos), self._replay.transitions
         newest = min(lived, self._config.window)
-        demos = self._told(self._demos.batch, 0, shown, shown)
+        demos = self._told(self._shown, 0, shown, shown)
         policy = self._told(self._replay.batch, lived - newest, newest, newest)
         run = self._told(self._replay.batch, 0, lived, shown)
         seen = torch.cat((demos, run)).double()

@@ -62,7 +62,7 @@ def neighbour_distance(experience: Experience, obs: Tensor, k: int) -> Tensor:
     `obs` come from the experience, so each is its own nearest neighbour. Raw observations, Euclidean (PEBBLE,
     section 4.1).
     """
-    stored = experience.obs[: experience.rows]
+    stored = experience.near.obs[: experience.rows]
     # A matrix product finds the candidates; it loses the digits of small distances, so theirs are taken again.
     center = obs.mean(dim=0)
     distance = torch.cdist(obs - center, stored - center, compute_mode="use_mm_for_euclid_dist")

@@ -12,6 +12,7 @@ import numpy as np
 import torch
 
 from rrm.buffers.pairs import PairRing, Preferences, StoredFeedback
+from rrm.nets.captured import to
 from rrm.queries import select, uniform_pairs
 from rrm.sources.base import RewardSource
 from rrm.teachers.journal import Journal
@@ -22,7 +23,7 @@ if TYPE_CHECKING:
     from rrm.buffers.experience import Experience
     from rrm.buffers.replay import Replay
     from rrm.config import FeedbackConfig
-    from rrm.interfaces import Agent, CriticAgent, RewardLearner, Teacher, VisualAgent
+    from rrm.interfaces import Agent, CriticAgent, RewardFunction, RewardLearner, Teacher, VisualAgent
     from rrm.rewards.sight import Sight
     from rrm.types import Batch, State, Transition
 
@@ -49,6 +50,7 @@ class PreferenceReward(RewardSource):
         rng: np.random.Generator,
         unlabelled_rng: np.random.Generator,
         sight: Sight | None = None,
+        twin: RewardFunction | None = None,
     ) -> None:
         """Args:
         first: step before which the first session is held.
@@ -56,6 +58,8 @@ class PreferenceReward(RewardSource):
         capacity: labelled pairs kept.
         rng, unlabelled_rng: the streams that draw candidate segments, and pairs nobody is asked about.
         sight: what the reward sees of frames; None where it is shown observations.
+        twin: a reward like the learner's on the processor, which says what a step is worth where that of a card would
+            have to be waited for.
         """
         self._config = config
         self._first = first
@@ -67,6 +71,8 @@ class PreferenceReward(RewardSource):
         self._rng = rng
         self._unlabelled_rng = unlabelled_rng
         self._sight = sight
+        self._twin = twin
+        self._imitate()
         self._length = config.segment + 2 * learner.needs.margin  # steps of a segment as the learner sees it
         self.preferences = Preferences(capacity, self._length)
         self.unlabelled = PairRing(_UNLABELLED_PAIRS, self._length)
@@ -86,7 +92,15 @@ class PreferenceReward(RewardSource):
         seen = torch.from_numpy(step.obs)[None]
         if self._sight is not None and step.frames is not None:
             seen = self._sight.one(step.frames)
-        return float(self.learner.reward.predict(seen, torch.from_numpy(step.act)[None], torch.tensor([step.prior])))
+        reward = self._twin or self.learner.reward
+        device = "cpu" if self._twin is not None else self._experience.device
+        shown = seen, torch.from_numpy(step.act)[None], torch.tensor([step.prior])
+        return float(reward.predict(*(to(device, part) for part in shown)))
+
+    def _imitate(self) -> None:
+        """Have the twin say what the learned reward says now."""
+        if self._twin is not None:
+            self._twin.load_state_dict(self.learner.reward.state_dict())
 
     def ask(self, step: int) -> None:
         since = step - self._first
@@ -119,7 +133,8 @@ class PreferenceReward(RewardSource):
         if self.journal.asked_at != step:
             return
         if step == self._first:
-            self.learner.reward.begin(self._experience.obs[: self._experience.rows])
+            self.learner.reward.begin(self._experience.near.obs[: self._experience.rows])
+            self._imitate()
         pairs, preference = self.journal.apply(step)
         given = ~np.isnan(preference)
         self.preferences.add(pairs[given] - self.learner.needs.margin, preference[given])
@@ -144,6 +159,7 @@ class PreferenceReward(RewardSource):
 
     def relabel(self) -> None:
         """Give every stored transition the reward as it is learned now, on the prior stored with it."""
+        self._imitate()
         self._experience.relabel(self.learner.reward.predict)
 
     def episode_over(self, true_return: float, length: int) -> None:
@@ -188,6 +204,7 @@ class PreferenceReward(RewardSource):
 
     def load_state_dict(self, state: State) -> None:
         self.learner.load_state_dict(state["learner"])
+        self._imitate()
         self.teacher.load_state_dict(state["teacher"])
         self.preferences.load_state_dict(state["preferences"])
         self.unlabelled.load_state_dict(state["unlabelled"])

@@ -6,13 +6,14 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
-from typing import cast
+from typing import TypedDict, cast
 
 from rrm.agents import AGENTS
 from rrm.buffers.experience import Experience
 from rrm.buffers.replay import Replay
 from rrm.checkpoint import again
 from rrm.config import IMITATION, PRIOR_ALONE, DrqConfig
+from rrm.devices import CPU, kind_of
 from rrm.errors import ConfigError, DemosError, MissingResultError
 from rrm.files import place
 from rrm.imitation.demos import Demonstrations
@@ -21,6 +22,8 @@ from rrm.imitation.finetune import Finetune, ImitatedReward
 from rrm.imitation.visual import Eye, VisualDiscriminator
 from rrm.interfaces import Agent, RewardFunction, RewardLearner, Teacher, VisualAgent
 from rrm.moments import RunningMoments
+from rrm.nets.precision import multiplies
+from rrm.precision import Precision
 from rrm.priors import load_prior
 from rrm.priors.imitation import ImitationPrior, read_prior
 from rrm.priors.step import PriorStep
@@ -74,7 +77,9 @@ def assemble(config: RunConfig, streams: Streams, results: Results) -> Parts:
     if config.borrows_encoder:
         lend_encoder(config, cast("VisualAgent", agent), results)
     repeat, people = config.action_repeat, None
-    experience = Experience(config.steps // repeat, config.episode_steps // repeat, config.spaces, config.agent.window)
+    experience = Experience(
+        config.steps // repeat, config.episode_steps // repeat, config.spaces, config.agent.window, config.device
+    )
     prior = build_prior(config, streams, results)
     replay = Replay(experience, config.agent.batch, streams.torch("replay"), repeat)
 
@@ -92,7 +97,7 @@ def assemble(config: RunConfig, streams: Streams, results: Results) -> Parts:
             feedback,
             first=switch, steps=config.steps, capacity=config.reward.capacity, experience=experience, replay=replay,
             learner=learner, teacher=teacher, rng=streams.numpy("query"), unlabelled_rng=streams.numpy("unlabelled"),
-            sight=sight,
+            sight=sight, twin=build_twin(config),
         )  # fmt: skip
 
     source: RewardSource
@@ -142,9 +147,9 @@ def _demonstrations(config: RunConfig, results: Results) -> Demonstrations:
 
 def build_agent(config: RunConfig, streams: Streams) -> Agent:
     """The agent, untrained."""
-    agent: Agent = lookup(AGENTS, "agent", config.agent.kind)(
-        config.agent, config.spaces, streams, precision=config.precision
-    )
+    made = lookup(AGENTS, "agent", config.agent.kind)
+    device = {} if config.device == CPU else {"device": config.device}  # agents of users may know no other
+    agent: Agent = made(config.agent, config.spaces, streams, precision=config.precision, **device)
     return agent
 
 
@@ -171,28 +176,46 @@ def lend_encoder(config: RunConfig, agent: VisualAgent, results: Results) -> Non
 def build_discriminator(config: RunConfig, streams: Streams) -> Discriminator:
     """The discriminator, untrained, of what the agent sees."""
     spaces, generator = config.spaces, streams.torch("imitation-init")
-    rest = spaces.act, config.agent.discount
+    rest, made = (spaces.act, config.agent.discount), _made(config)
     if not isinstance(config.agent, DrqConfig) or spaces.frames is None:
-        return Discriminator(config.imitation, spaces.obs, *rest, generator=generator, precision=config.precision)
+        return Discriminator(config.imitation, spaces.obs, *rest, generator=generator, **made)
     known = config.spec().features.get("proprioception", slice(0))
     assert isinstance(known, slice)  # a learned reward is told numbers of the observation as they are
-    eye = Eye(config.agent, spaces.frames, slice(*known.indices(spaces.obs)[:2]), generator, config.precision)
-    return VisualDiscriminator(config.imitation, eye, *rest, generator=generator, precision=config.precision)
+    eye = Eye(config.agent, spaces.frames, slice(*known.indices(spaces.obs)[:2]), generator, **made)
+    return VisualDiscriminator(config.imitation, eye, *rest, generator=generator, **made)
 
 
-def build_reward(config: RunConfig, streams: Streams) -> RewardFunction:
+class _Made(TypedDict):
+    precision: Precision
+    device: str
+
+
+def _made(config: RunConfig) -> _Made:
+    """How a run computes, and where."""
+    return {"precision": config.precision, "device": config.device}
+
+
+def build_twin(config: RunConfig) -> RewardFunction | None:
+    """A learned reward on the processor beside one on a card, to be loaded; none where it sees frames."""
+    if kind_of(config.device) == CPU or config.sees_frames:
+        return None
+    precision = config.precision if multiplies(config.precision) else "float32"
+    return build_reward(config.model_copy(update={"device": CPU, "precision": precision}), None)
+
+
+def build_reward(config: RunConfig, streams: Streams | None) -> RewardFunction:
     """The learned reward, untrained: a residual on the prior where there is one, g alone where that is fine-tuned, else
-    an ensemble alone.
+    an ensemble alone. Its weights are zero without streams.
     """
     residual, spaces = config.reward.prior is not None, config.spaces
     if config.from_demonstrations:
         return ImitatedReward(RewardNet(config.imitation, spaces.obs, spaces.act, None), RunningMoments())
-    made = streams.torch("reward-init"), config.precision
+    generator, made = None if streams is None else streams.torch("reward-init"), _made(config)
     if isinstance(config.agent, DrqConfig) and spaces.frames is not None:
         seen = config.agent.encoded(spaces.frames.height, spaces.frames.width)
         visual = VisualResidual if residual else VisualReward
-        return visual(config.reward, seen, spaces.act, *made, width=config.agent.features)
-    return (ResidualReward if residual else EnsembleReward)(config.reward, spaces.obs, spaces.act, *made)
+        return visual(config.reward, seen, spaces.act, generator, width=config.agent.features, **made)
+    return (ResidualReward if residual else EnsembleReward)(config.reward, spaces.obs, spaces.act, generator, **made)
 
 
 def build_teacher(config: RunConfig, streams: Streams, experience: Experience, results: Results) -> Teacher:

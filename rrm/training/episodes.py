@@ -15,6 +15,7 @@ import numpy as np
 from rrm.buffers.frames import Frames
 from rrm.checkpoint import again, read_networks
 from rrm.config import EvaluationConfig
+from rrm.devices import CPU
 from rrm.envs.observer import Observer
 from rrm.envs.tasks import Ranges
 from rrm.errors import DemosError, MissingResultError
@@ -60,7 +61,7 @@ def deterministic(agent: Agent) -> Policy:
 
 def expert_policy(config: RunConfig, model: Path) -> Policy:
     """The deterministic policy of a run, from the networks it left in the file `model`."""
-    agent = build_agent(config, Streams(config.seed))
+    agent = build_agent(config.model_copy(update={"device": CPU}), Streams(config.seed))
     networks = read_networks(model, "the policy's networks")
     if "agent" not in networks:
         raise MissingResultError(f"{model} does not hold the policy's networks: {again(model)}")

@@ -16,6 +16,7 @@ import numpy as np
 
 from rrm.envs.observer import Observer
 from rrm.errors import NumericalError, WaitingError
+from rrm.nets.captured import prepare
 from rrm.nets.precision import check_precision
 from rrm.seeding import Streams, evaluation_seed
 from rrm.sources.base import RewardSource
@@ -32,7 +33,8 @@ class Trainer:
 
     def __init__(self, config: RunConfig, results: Results = NO_RESULTS, assembled: Assembled = assemble) -> None:
         """Args: assembled: makes agent, prior and phases."""
-        check_precision(config.precision)
+        prepare(config.device, config.precision)
+        check_precision(config.precision, config.device)
         self.config = config
         self.step = 0
         self.rows: list[EvalRow] = []  #: evaluations so far, oldest first
