@@ -81,12 +81,17 @@ class Experience:
         self.raw_prior = torch.empty(rows)
         self.true_reward = torch.empty(rows)
         self.kind = torch.empty(rows, dtype=torch.uint8)
+        self._continues: Tensor | None = None
         if kind_of(self.device) == CPU:
             self.obs, self.act = torch.empty(rows, spaces.obs), torch.empty(rows, spaces.act)
             self.prior, self.reward = torch.empty(rows), torch.empty(rows)
-            return
-        self._table = Table(rows, spaces, self.device, self._continues)
-        self.obs, self.act, self.prior, self.reward = self._table.columns()
+        else:
+            self._table = Table(rows, spaces, self.device)
+            self.obs, self.act, self.prior, self.reward, self._continues = self._table.columns()
+        # numpy writes a number in a tenth of the time.
+        self._written = {name: getattr(self, name).numpy() for name in (*_LOGGED, "reward")}
+        if self._continues is not None:
+            self._written["continues"] = self._continues.numpy()
 
     @property
     def near(self) -> Experience | Table:
@@ -96,10 +101,6 @@ class Experience:
         self._table.bring(self.rows)
         return self._table
 
-    def _continues(self, rows: slice) -> tuple[Tensor, Tensor]:
-        kind = self.kind[rows]
-        return kind != _TERMINATED, kind == _STEP
-
     def reserve(self, rows: int) -> None:
         """Make room for as many rows, with half as many again to come."""
         if rows <= len(self.kind):
@@ -108,19 +109,26 @@ class Experience:
         self._make_room(rows + rows // 2)
         for name, column in old.items():
             getattr(self, name)[: len(column)] = column
+        self._tell_apart()
+
+    def _tell_apart(self) -> None:
+        """For a card: whether the value behind each row counts."""
+        if self._continues is not None:
+            kind = self.kind[: self.rows]
+            self._continues[: self.rows] = torch.stack((kind != _TERMINATED, kind == _STEP), dim=1)
 
     def append(self, step: Transition, reward: float) -> None:
         """One environment step, and the reward that the agent is given for it."""
         row = self.rows
         self.reserve(row + 3)  # with the observation behind it, and the row that one more step would take
-        obs, act = self.obs.numpy(), self.act.numpy()
-        obs[row], act[row] = step.obs, step.act
-        self.prior[row] = step.prior
-        self.raw_prior[row] = step.raw_prior
-        self.true_reward[row] = step.true_reward
-        self.reward[row] = reward
-        self.kind[row] = _TERMINATED if step.terminated else _TRUNCATED if step.truncated else _STEP
-        obs[row + 1] = step.next_obs
+        columns = self._written
+        for name in ("obs", "act", "prior", "raw_prior", "true_reward"):
+            columns[name][row] = getattr(step, name)
+        columns["reward"][row] = reward
+        columns["kind"][row] = _TERMINATED if step.terminated else _TRUNCATED if step.truncated else _STEP
+        columns["obs"][row + 1] = step.next_obs
+        if "continues" in columns:
+            columns["continues"][row] = not step.terminated, not (step.terminated or step.truncated)
         if self.frames is not None and step.frames is not None and step.next_frames is not None:
             if len(self.frames) == row:  # an episode begins
                 self.frames.append(step.frames[-1])
@@ -128,9 +136,9 @@ class Experience:
         self._number(row)
         self.rows = row + 1
         if step.terminated or step.truncated:
-            self.kind[row + 1] = _END
-            for column in (self.act, self.prior, self.raw_prior, self.reward, self.true_reward):
-                column[row + 1] = 0.0
+            columns["kind"][row + 1] = _END
+            for name in ("act", "prior", "raw_prior", "reward", "true_reward"):
+                columns[name][row + 1] = 0.0
             self.episodes.append(Episode(self._episode_start, row + 1 - self._episode_start))
             self._episode_start = self.rows = row + 2
 
@@ -140,14 +148,15 @@ class Experience:
             self._row_of, self._window_of = (
                 torch.cat((rows, torch.empty_like(rows))) for rows in (self._row_of, self._window_of)
             )
-        self._row_of[self.transitions] = row
+        self._row_of.numpy()[self.transitions] = row
         self.transitions += 1
         if (begin := row - self.window + 1) >= self._episode_start:
-            self._window_of[self.windows] = begin
+            self._window_of.numpy()[self.windows] = begin
             self.windows += 1
 
     def batch(self, numbers: Tensor, *, time_limits_end: bool = False) -> Batch:
-        """The transitions of these numbers [B], counted from 0 in the order in which they were lived.
+        """The transitions of these numbers [B], counted from 0 in the order in which they were lived. Those on a card
+        stay as they are until as many are asked for again.
 
         Args: time_limits_end: take a time limit for a termination in `continues`.
         """
@@ -169,7 +178,7 @@ class Experience:
     def _batch(self, rows: Tensor, *, time_limits_end: bool = False) -> Batch:
         near = self.near
         if isinstance(near, Table):
-            return near.batch(rows, time_limits_end=time_limits_end)
+            return near.batch(rows.numpy(), time_limits_end=time_limits_end)
         kind = self.kind[rows]
         on = kind == _STEP if time_limits_end else kind != _TERMINATED
         return Batch(
@@ -282,6 +291,7 @@ class Experience:
         self._saved_generations = deque([self.generation], maxlen=KEPT)
         self.obs[self.rows] = state["next_obs"]
         if self._table is not None:
+            self._tell_apart()
             self._table.forget()
         if self.frames is not None:
             self.frames.load(folder / _FRAMES, state["frames"])

@@ -14,6 +14,10 @@ from rrm.types import State
 
 _BETAS, _EPSILON = (0.9, 0.999), 1e-8
 
+#: A card's kernel works on so many tensors at a time, and on a single one with a few blocks of threads alone: the flat
+#: tensor is handed to it in so many pieces.
+_PIECES = 32
+
 
 class FlatAdam:
     """Adam (betas 0.9 and 0.999, epsilon 1e-8, no weight decay) for one tensor and the buffer its gradient lies in."""
@@ -29,6 +33,8 @@ class FlatAdam:
         self._counted = torch.zeros((), device=param.device)
         self._factors = np.zeros(2, np.float32)  # step size and root, both with the bias of the moments taken out
         places = [part.data_ptr() for part in (param, grad, self._mean, self._square)]
+        piece = -(-param.numel() // (4 * _PIECES)) * 4  # begins where four numbers are read at a time
+        self._pieces = [tensor.split(piece) for tensor in (param, grad, self._mean, self._square)]
         self._work = Coded([(ADAM, *places, param.numel(), self._factors.ctypes.data)], self)
 
     @torch.no_grad()
@@ -41,8 +47,9 @@ class FlatAdam:
             self._work()
             return
         self._counted += 1
+        params, grads, means, squares = self._pieces
         torch._fused_adam_(
-            [self.param], [self.grad], [self._mean], [self._square], [], [self._counted],
+            params, grads, means, squares, [], [self._counted] * len(params),
             lr=self.lr, beta1=_BETAS[0], beta2=_BETAS[1], weight_decay=0.0, eps=_EPSILON, amsgrad=False, maximize=False,
         )  # fmt: skip
 

@@ -59,7 +59,8 @@ class Memory:
     def __init__(self, net: StackedMLP, rows: int) -> None:
         def room(width: int, dtype: torch.dtype) -> Tensor:
             # Rows a multiple of 1 KiB apart fall into the same few sets of a cache, which costs a product 5 %.
-            apart = width + ALIGN * (width % 256 == 0 and dtype == torch.float32)
+            here = net.flat.device.type == "cpu"
+            apart = width + ALIGN * (here and width % 256 == 0 and dtype == torch.float32)
             return torch.empty(net.members, rows, apart, dtype=dtype, device=net.flat.device)[..., :width]
 
         layers, widest = len(net.widths) - 2, max(net.widths[1:-1], default=0)

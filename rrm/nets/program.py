@@ -111,6 +111,8 @@ def undo(
         ]
         return Coded(rows, (source, activated, target, total))
 
+    ones = _ones(source)
+
     def work() -> None:
         if source.dtype == target.dtype == torch.float32:
             gradient = torch.ops.aten.leaky_relu_backward.grad_input(
@@ -121,9 +123,14 @@ def undo(
             gradient = torch.where(activated <= 0, gradient * _SLOPES[activation], gradient)
             target.copy_(gradient)
         if total is not None:
-            torch.sum(gradient, 1, keepdim=True, out=total)
+            torch.bmm(ones, gradient, out=total)
 
     return work
+
+
+def _ones(rows: Tensor) -> Tensor:
+    """What sums rows [N, B, H] up as a product, which is quicker on a card than a sum."""
+    return torch.ones(1, 1, rows.shape[1], device=rows.device).expand(len(rows), -1, -1)
 
 
 class Normal(NamedTuple):
@@ -168,6 +175,8 @@ def undo_norm(
         ]
         return Coded(rows, (source, normal, target, total))
 
+    ones = _ones(source)
+
     def work() -> None:
         gradient = source.float()
         gradient = torch.where(normal.rows <= 0, gradient * _SLOPES[activation], gradient)
@@ -175,7 +184,7 @@ def undo_norm(
         gradient = normal.factor[..., None] * (gradient - gradient.mean(-1, keepdim=True) - along * normal.rows)
         target.copy_(gradient)
         if total is not None:
-            torch.sum(gradient, 1, keepdim=True, out=total)
+            torch.bmm(ones, gradient, out=total)
 
     return work
 
