@@ -33,6 +33,7 @@ BENCHMARKS = (
     "labelling",
     "sweep",
     "cluster",
+    "cards",
 )
 
 

@@ -30,15 +30,15 @@ CONFIG = RewardConfig(epochs=1, target_accuracy=1.0)
 def lines() -> Iterator[Line]:
     """The paper's sizes in both precisions."""
     torch.set_num_threads(1)
-    experience = _lived()
+    experience = lived()
     for precision in ("float32", "bfloat16") if multiplies("bfloat16") else ("float32",):
         yield from _lines(experience, precision)
 
 
 def _lines(experience: Experience, precision: Precision) -> Iterator[Line]:
-    reward = ResidualReward(CONFIG, OBS, ACT, torch.Generator().manual_seed(0), precision)
+    reward = ResidualReward(CONFIG, OBS, ACT, torch.Generator().manual_seed(0), precision=precision)
     learner = Pebble(reward, CONFIG, np.random.default_rng(0))
-    labels = _labelled(experience)
+    labels = labelled(experience)
     epoch_s, relabel_s, products_s = in_turns(
         lambda: learner.fit(labels),
         lambda: experience.relabel(reward.predict),
@@ -66,10 +66,10 @@ def _flop_per_row() -> tuple[float, float]:
     return forward, 2 * forward - 2.0 * CONFIG.members * first  # nobody needs the gradient in the inputs
 
 
-def _lived() -> Experience:
+def lived(device: str = "cpu") -> Experience:
     """Random transitions in episodes of Meta-World's length."""
     rng = np.random.default_rng(0)
-    experience = Experience(ROWS, EPISODE, Spaces(OBS, ACT))
+    experience = Experience(ROWS, EPISODE, Spaces(OBS, ACT), device=device)
     obs = rng.standard_normal((1000, OBS), np.float32)
     act = rng.uniform(-1, 1, (1000, ACT)).astype(np.float32)
     for step in range(ROWS):
@@ -79,9 +79,10 @@ def _lived() -> Experience:
     return experience
 
 
-def _labelled(experience: Experience) -> StoredFeedback:
+def labelled(experience: Experience, labels: int = LABELS) -> StoredFeedback:
+    """So many labels of random pairs."""
     rng = np.random.default_rng(1)
     starts = np.array([episode.start for episode in experience.episodes])
-    preferences = Preferences(LABELS, SEGMENT)
-    preferences.add(rng.choice(starts, (LABELS, 2)), rng.integers(0, 2, LABELS).astype(np.float32))
-    return StoredFeedback(experience, preferences, PairRing(1, SEGMENT), LABELS)
+    preferences = Preferences(labels, SEGMENT)
+    preferences.add(rng.choice(starts, (labels, 2)), rng.integers(0, 2, labels).astype(np.float32))
+    return StoredFeedback(experience, preferences, PairRing(1, SEGMENT), labels)

@@ -82,11 +82,12 @@ def update_flop(config: SacConfig) -> float:
 
 def agent_update(config: SacConfig, precision: Precision) -> Callable[[], None]:
     """An agent's update on random data."""
-    sac, batch = Sac(config, Spaces(OBS, ACT), Streams(0), precision=precision), _random_batch(config.batch)
+    sac, batch = Sac(config, Spaces(OBS, ACT), Streams(0), precision=precision), random_batch(config.batch)
     return lambda: sac.update(batch)
 
 
-def _random_batch(rows: int) -> Batch:
+def random_batch(rows: int) -> Batch:
+    """Transitions of normal numbers."""
     obs, next_obs = torch.randn(2, rows, OBS)
     return Batch(obs, torch.rand(rows, ACT) * 2 - 1, torch.zeros(rows), torch.randn(rows), next_obs, torch.ones(rows))
 
@@ -136,7 +137,7 @@ def peers(config: SacConfig) -> dict[str, Callable[[], object]]:
 
 def _autograd_updates(config: SacConfig) -> Callable[[], object]:
     """The textbook's, from the networks of an agent of ours."""
-    sac, batch = Sac(config, Spaces(OBS, ACT), Streams(0)), _random_batch(config.batch)
+    sac, batch = Sac(config, Spaces(OBS, ACT), Streams(0)), random_batch(config.batch)
     textbook = ReferenceSac(config, sac.actor, sac.critic, fused=True)
 
     def work() -> None:
@@ -147,17 +148,22 @@ def _autograd_updates(config: SacConfig) -> Callable[[], object]:
 
 
 def _stable_baselines_updates(config: SacConfig) -> Callable[[], object]:
+    sac = stable_baselines(config)
+    return lambda: sac.train(_AT_ONCE, config.batch)
+
+
+def stable_baselines(config: SacConfig, device: str = "cpu") -> Any:
+    """The agent of Stable-Baselines3, ready for `train(updates, batch)`."""
     from stable_baselines3 import SAC
 
-    sac = _ready(SAC, config, target_update_interval=config.target_every)
-    return lambda: sac.train(_AT_ONCE, config.batch)
+    return _ready(SAC, config, device=device, target_update_interval=config.target_every)
 
 
 def _sbx_updates(config: SacConfig) -> Callable[[], object]:
     import jax
     from sbx import SAC
 
-    sac = _ready(SAC, config)
+    sac = _ready(SAC, config, device="cpu")
 
     def work() -> None:
         sac.train(_AT_ONCE, config.batch)
@@ -178,7 +184,7 @@ def _ready(algorithm: Callable[..., Any], config: SacConfig, **settings: Any) ->
     from stable_baselines3.common.logger import configure
 
     sac = algorithm(
-        "MlpPolicy", _Blank(), batch_size=config.batch, learning_rate=config.critic_lr, buffer_size=4096, device="cpu",
+        "MlpPolicy", _Blank(), batch_size=config.batch, learning_rate=config.critic_lr, buffer_size=4096,
         policy_kwargs={"net_arch": [config.hidden] * config.layers}, **settings,
     )  # fmt: skip
     sac.set_logger(configure(None, []))

@@ -34,7 +34,7 @@ class FlatAdam:
         self._factors = np.zeros(2, np.float32)  # step size and root, both with the bias of the moments taken out
         places = [part.data_ptr() for part in (param, grad, self._mean, self._square)]
         piece = -(-param.numel() // (4 * _PIECES)) * 4  # begins where four numbers are read at a time
-        self._pieces = [tensor.split(piece) for tensor in (param, grad, self._mean, self._square)]
+        self._pieces = [torch.split(tensor, piece) for tensor in (param, grad, self._mean, self._square)]
         self._work = Coded([(ADAM, *places, param.numel(), self._factors.ctypes.data)], self)
 
     @torch.no_grad()
