@@ -50,7 +50,9 @@ def check_device(device: str) -> None:
     if kind_of(device) != CUDA:
         return
     if why := missing():
-        raise ConfigError(f'device: {device} cannot be used here: {why}; use device = "cpu", or "auto" to take what is there')
+        raise ConfigError(
+            f'device: {device} cannot be used here: {why}; use device = "cpu", or "auto" to take what is there'
+        )
     number = int(device.partition(":")[2] or 0)
     if number >= len(cards()):
         raise ConfigError(f"device: there is no {device} here; the cards are {', '.join(map(in_words, cards()))}")
@@ -92,9 +94,23 @@ def cards() -> tuple[Card, ...]:
 def driver_version() -> str | None:
     """Of the NVIDIA driver of the system; None where there is none, or it does not tell."""
     with suppress(OSError):
-        told = re.search(r"Kernel Module.*?\s(\d[\d.]+)\s", Path("/proc/driver/nvidia/version").read_text(errors="replace"))
+        told = re.search(
+            r"Kernel Module.*?\s(\d[\d.]+)\s", Path("/proc/driver/nvidia/version").read_text(errors="replace")
+        )
         return told[1] if told else None
     return None
+
+
+@cache
+def cuda_of_driver() -> str | None:
+    """The newest CUDA that the driver speaks, such as "12.4"; None where there is none."""
+    number = ctypes.c_int()
+    try:
+        if ctypes.CDLL(_LIBRARY).cuDriverGetVersion(ctypes.byref(number)):
+            return None
+    except OSError:
+        return None
+    return f"{number.value // 1000}.{number.value % 1000 // 10}"
 
 
 def cuda_of_torch() -> str | None:
