@@ -232,8 +232,7 @@ def _report(folder: RunFolder, error: Exception, pipe: Pipe, lease: Lease | None
 def _reason(folder: RunFolder, error: Exception) -> tuple[WorkerExit, ErrorKind, str]:
     from rrm.errors import MissingResultError, RrmError, WaitingError
 
-    hint = getattr(error, "hint", None)
-    message = f"{error} ({hint})" if hint else str(error)
+    message = f"{error} ({hint})" if (hint := getattr(error, "hint", None)) else str(error)
     match error:
         case files.StorageError():
             message = f"{error} ({error.todo}, then `{rrmctl('resume', results=folder.results)}` goes on)"
@@ -246,10 +245,12 @@ def _reason(folder: RunFolder, error: Exception) -> tuple[WorkerExit, ErrorKind,
             return WorkerExit.REFUSED, ErrorKind.DAMAGED, message
         case UserError() | RrmError():
             return WorkerExit.REFUSED, ErrorKind.REFUSED, message
-    if (told := _card_full(error)) is not None:
-        remedy = "fewer runs to a card (--per-gpu), or a smaller agent.batch"
-        return WorkerExit.CRASHED, ErrorKind.MEMORY, f"the card's memory is full ({told}): {remedy}"
-    return WorkerExit.CRASHED, ErrorKind.CRASHED, str(error)
+    if (told := _card_full(error)) is None:
+        kind = ErrorKind.CRASHED
+    else:
+        kind, remedy = ErrorKind.MEMORY, "fewer runs to a card (--per-gpu), or a smaller agent.batch"
+        message = f"the card's memory is full ({told}): {remedy}"
+    return WorkerExit.CRASHED, kind, message
 
 
 def _card_full(error: Exception) -> str | None:
