@@ -102,7 +102,7 @@ def plan(
         about: dict[str, Any] = {
             name: getattr(plan, name) for name in ("experiment", "profile", "variant", "overrides")
         }
-        about |= {"core_hours": expected.hours, "core_hours_left": expected.hours_left}
+        about |= {"core_hours": expected.hours, "core_hours_left": expected.hours_left, "unknown": expected.unknown}
         for part in ("jobs", "needed", "deployments"):
             about[part] = [
                 asdict(job) | {"state": str(expected.states[job.id].state), "core_seconds": expected.seconds[job.id]}
@@ -148,16 +148,25 @@ def doctor(
     results: options.ResultsOption = options.DEFAULT_RESULTS,
     experiments: options.ExperimentsOption = None,
     as_json: options.JsonOption = False,
-) -> None:
-    """Check this machine: versions, simulators, rendering, cores, arithmetic, disk. Says what is missing and the fix.
+    tune: Annotated[bool, typer.Option(
+        "--tune", help="Measure instead how many runs at a time each kind of graphics card here bears, in some "
+        "minutes; `run` and `plan` go by it from then on.",
+    )] = False,
+) -> None:  # fmt: skip
+    """Check this machine: versions, simulators, rendering, cores, arithmetic, cards, disk. Says what is missing and the
+    fix.
 
     Ends with 1 where something that is needed is missing. A note stops nothing: rendering and pybullet are for tasks
     that see images or drive the simulated robot arm.
     """
     from rich.text import Text
 
+    from rrmctl.cli.tune import tune as measure
     from rrmctl.doctor import examine
 
+    if tune:
+        measure(as_json=as_json)
+        return
     console = stdout_console(soft_wrap=True)
     checks = []
     for check in examine(results, experiments):

@@ -44,7 +44,7 @@ class Request:
         said = [text for text in self.overrides or [] if text.partition("=")[0].strip() == "device"]
         if said and self.device is not None:
             raise UserError(f"--device {self.device} and --set {said[0]} set one setting", "give one of them")
-        if self.device is not None and not re.fullmatch(r"[a-z]+(:\d+)?", self.device):
+        if self.device is not None and not re.fullmatch(r"cpu|auto|cuda(:\d+)?", self.device):
             raise UserError(
                 f"--device is {self.device}", "it is cpu, cuda, the number of a card such as cuda:1, or auto"
             )

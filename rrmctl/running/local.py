@@ -268,6 +268,10 @@ class LocalExecutor:
             self._leave_card(child.job)
         self._children.clear()
 
+    def memory(self) -> int:
+        """Resident memory of all workers, in bytes; of those that the system tells of."""
+        return sum(child.memory() or 0 for child in self._children.values())
+
     def _end_misbehaving(self) -> None:
         """End workers that are silent for too long, and those that take too much memory."""
         lived, now = self._waking(), time.monotonic()
