@@ -111,7 +111,7 @@ def run(
 
     screen = console(unfailing(sys.stderr))
     request = Request(name, experiments, profile, seeds, tasks, methods, overrides, prior, device)
-    gpus = gpus or (request.card if executor == "local" else None)
+    gpus = request.card if gpus is None and executor == "local" else gpus
     how = Options(
         executor=executor, workers=workers, memory=memory, hang_after=hang_after, label=label, slurm=slurm,
         at_once=at_once, pack=pack, address=address, gpus=gpus, per_gpu=per_gpu, mps=mps,

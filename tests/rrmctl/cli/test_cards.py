@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+import os
+from collections.abc import Callable, Collection
 from pathlib import Path
+from typing import NamedTuple
 
 import pytest
 
@@ -13,11 +15,12 @@ from rrm.devices import Card
 from rrmctl.cli import executors
 from rrmctl.cli.executors import Options
 from rrmctl.cli.request import Request, forecast, in_words, smaller
-from rrmctl.errors import UserError
+from rrmctl.errors import Exit, UserError
 from rrmctl.planning import card_rates, cost
 from rrmctl.planning.card_rates import Rates
 from rrmctl.planning.cost import card_speed, trial
 from rrmctl.running import tune
+from rrmctl.running.local import LocalExecutor
 from rrmctl.store.layout import Layout
 from rrmctl.store.provenance import read_config
 from rrmctl.store.records import write_json
@@ -219,13 +222,64 @@ def test_there_is_nothing_to_tune_without_a_card() -> None:
     assert "device: cuda cannot be used here" in result.stderr
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("option", [["--gpus", "0"], ["--per-gpu", "2"], ["--mps"]])
-def test_options_of_cards_without_runs_on_them(
-    tmp_path: Path, option: list[str], there: Callable[..., list[Card]]
+class Driven(NamedTuple):
+    """What the pool is given."""
+
+    executor: LocalExecutor
+    slots: int
+    on_cards: Collection[str]
+    places: int
+
+
+@pytest.fixture
+def driven(monkeypatch: pytest.MonkeyPatch) -> list[Driven]:
+    """Pools that commands would begin, and do not."""
+    pools: list[Driven] = []
+
+    def drive(
+        work: object, executor: LocalExecutor, slots: int, on_cards: Collection[str] = (), places: int = 0
+    ) -> Exit:
+        pools.append(Driven(executor, slots, on_cards, places))
+        return Exit.INCOMPLETE
+
+    monkeypatch.setattr(executors, "_drive", drive)
+    return pools
+
+
+def test_the_pool_of_a_sweep_on_cards(tmp_path: Path, there: Callable[..., list[Card]], driven: list[Driven]) -> None:
+    """All its runs need a place on one of the cards that are named; resumed, on any."""
+    there("NVIDIA A", "NVIDIA B")
+    asked = [*RUN, "--seeds", "8", "--device", "cuda:1", "--results", tmp_path]
+    call(*asked)
+    call(*asked, "--gpus", "0,1", "--per-gpu", "3")
+    call("resume", "--workers", "5", "--per-gpu", "3", "--results", tmp_path)
+    assert [pool.executor.cards and pool.executor.cards.rooms for pool in driven] == [
+        {"1": 1}, {"0": 3, "1": 3}, {"0": 3, "1": 3}
+    ]  # fmt: skip
+    assert [(pool.slots, len(pool.on_cards), pool.places) for pool in driven] == [(1, 8, 1), (6, 8, 6), (5, 8, 6)]
+
+
+def test_the_pool_by_way_of_a_service(
+    tmp_path: Path, there: Callable[..., list[Card]], driven: list[Driven], monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """Its clients count the cards that it was started on, and find it by its own folders."""
+    there("NVIDIA A", "NVIDIA B")
+    control = tmp_path / "bin" / "nvidia-cuda-mps-control"
+    control.parent.mkdir()
+    control.write_text(f'#!/bin/sh\necho "$CUDA_VISIBLE_DEVICES $*" >> {tmp_path}/calls\n')
+    control.chmod(0o755)
+    monkeypatch.setenv("PATH", f"{control.parent}:{os.environ['PATH']}")
+    call(*RUN, "--device", "cuda", "--gpus", "1", "--mps", "--results", tmp_path / "results")
+    cards = driven[0].executor.cards
+    assert cards is not None
+    assert cards.rooms == {"0": 1}
+    assert cards.variables.keys() == {"CUDA_MPS_PIPE_DIRECTORY", "CUDA_MPS_LOG_DIRECTORY"}
+    assert (tmp_path / "calls").read_text().splitlines()[0] == "1 -d"
+
+
+@pytest.mark.parametrize("option", [["--gpus", "0"], ["--per-gpu", "2"], ["--mps"]])
+def test_options_of_cards_without_runs_on_them(tmp_path: Path, option: list[str], driven: list[Driven]) -> None:
     """A note says that they change nothing."""
-    there("NVIDIA A")
-    result = call(*RUN, *option, "--set", "steps=450", "--workers", "1", "--results", tmp_path)
-    assert result.exit_code == 0, result.output
+    result = call(*RUN, *option, "--results", tmp_path)
     assert "note: none of these runs is on a card: --gpus, --per-gpu and --mps change nothing" in result.stderr
+    assert driven[0].executor.cards is None
