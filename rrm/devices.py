@@ -101,6 +101,18 @@ def driver_version() -> str | None:
     return None
 
 
+@cache
+def cuda_of_driver() -> str | None:
+    """The newest CUDA that the driver speaks, such as "12.4"; None where there is none."""
+    number = ctypes.c_int()
+    try:
+        if ctypes.CDLL(_LIBRARY).cuDriverGetVersion(ctypes.byref(number)):
+            return None
+    except OSError:
+        return None
+    return f"{number.value // 1000}.{number.value % 1000 // 10}"
+
+
 def cuda_of_torch() -> str | None:
     """The version of CUDA that the installed torch is built for, such as "13.0"; None where it is built without."""
     spec = find_spec("torch")

@@ -15,6 +15,7 @@ from importlib import metadata
 from pathlib import Path
 from typing import Literal
 
+from rrm import devices
 from rrm.environ import run_python
 from rrm.envs.tasks import wheels
 from rrm.errors import RenderingError
@@ -22,6 +23,7 @@ from rrm.hardware import cpu_model, extensions, usable_cores
 from rrm.rendering import INSTALL, renderer
 from rrm.tuning import CONVOLUTIONS, EXACT, OTHERWISE, ROUNDED, Machine, Shape, cell, in_words, kept_in, machine, pays
 from rrmctl.errors import UserError
+from rrmctl.planning import card_rates
 from rrmctl.planning.experiments import SHIPPED, available
 from rrmctl.store.mounts import Mount, mount_of
 from rrmctl.store.owner import LEASE_S, NETWORK_LEASE_S
@@ -78,6 +80,7 @@ def examine(results: Path, experiments: Path | None) -> Iterator[Check]:
     yield Check("cores", "ok", f"{usable_cores()} usable of {os.cpu_count()} ({cpu_model()}); one job keeps one busy")
     yield Check("threads", "ok", "one per worker, whatever is set in this shell")
     yield from arithmetic()
+    yield from graphics()
     yield from folders(results, experiments)
     yield rendering()
 
@@ -161,6 +164,48 @@ def _sides(shape: Shape) -> str:
 
 def _rate(rate: float) -> str:
     return f"{rate / 1e9:.0f} GFLOP/s"
+
+
+def graphics() -> Iterator[Check]:
+    """Graphics cards, what drives them, what torch can do with them, and how many runs each bears. None is needed."""
+    here, driver, speaks, built = (
+        devices.cards(),
+        devices.driver_version(),
+        devices.cuda_of_driver(),
+        devices.cuda_of_torch(),
+    )
+    driven = f"driver {driver or 'of unknown version'}" + (f", which speaks CUDA {speaks}" if speaks else "")
+    if not here and driver is None and speaks is None:
+        fix = "where there is a card: install NVIDIA's driver; in a container, start that with its cards (--gpus all)"
+        yield Check("cards", "note", "no NVIDIA driver is found: networks learn on the processor", fix)
+        return
+    if not here:
+        fix = "is CUDA_VISIBLE_DEVICES set and empty? a container must be started with its cards (--gpus all)"
+        yield Check("cards", "note", f"{driven}, but CUDA lists no card: networks learn on the processor", fix)
+        return
+    found = f"{', '.join(map(devices.in_words, here))}; {driven}"
+    if built is None:
+        fix = shlex.join([sys.executable, "-m", "pip", "install", "--force-reinstall", "torch"])
+        yield Check("cards", "note", f"{found}; this torch is built without CUDA", f"{fix} (PyPI's has it on Linux)")
+        return
+    found += f"; torch is built for CUDA {built}"
+    if speaks is not None and _major(speaks) < _major(built):
+        fix = f"install a newer driver, or a torch for CUDA {_major(speaks)} (https://pytorch.org/get-started/locally)"
+        yield Check("cards", "note", f"{found}: the driver is too old for it", fix)
+        return
+    service = "there (--mps)" if shutil.which("nvidia-cuda-mps-control") else "not installed"
+    yield Check("cards", "ok", f"{found}; NVIDIA's MPS is {service}")
+    for card in {(card.name, card.memory): card for card in here}.values():
+        rates = card_rates.read(card)
+        if rates is None:
+            unknown = f"{card.name}: nobody has measured how many it bears: one at a time, and plans know no times"
+            yield Check("runs on a card", "note", unknown, "rrmctl doctor --tune")
+        else:
+            yield Check("runs on a card", "ok", f"{card.name}: {card_rates.in_words(rates)}")
+
+
+def _major(version: str) -> int:
+    return int(version.partition(".")[0])
 
 
 def folders(results: Path, experiments: Path | None) -> Iterator[Check]:

@@ -45,7 +45,7 @@ KNOW_RRM = {
 #: Light, and the one place for what they say: the version, tasks and how they are scored, errors, files, the machine.
 FACTS = {
     *("rrm", "rrm.envs.tasks", "rrm.errors", "rrm.files", "rrm.parquet", "rrm.environ", "rrm.toml"),
-    *("rrm.hardware", "rrm.precision", "rrm.tuning", "rrm.rendering"),
+    *("rrm.hardware", "rrm.devices", "rrm.precision", "rrm.tuning", "rrm.rendering"),
     *("rrm.teachers.labels", "rrm.teachers.published"),  # what people are asked, and what they answered
 }
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import sys
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING, NamedTuple, TypedDict
 
@@ -18,6 +18,7 @@ from rrmctl.errors import Exit, UserError, check_known
 if TYPE_CHECKING:
     from rich.console import Console
 
+    from rrmctl.running.cards import Cards
     from rrmctl.running.executor import Executor
     from rrmctl.running.slurm import Submission
     from rrmctl.running.slurm_arrays import Array
@@ -39,7 +40,9 @@ class Options:
     at_once: int | None = None
     pack: int | None = None
     address: str | None = None
-    gpus: float | None = None
+    gpus: str | None = None
+    per_gpu: int | None = None
+    mps: bool = False
 
     def __post_init__(self) -> None:
         check_known(self.executor, EXECUTORS, f'there is no executor "{self.executor}"')
@@ -48,6 +51,8 @@ class Options:
                 word = f"--{field.name.replace('_', '-')}"
                 whose = ", ".join(name for name, other in EXECUTORS.items() if field.name in other.options)
                 raise UserError(f"{word} means nothing with --executor {self.executor}", f"it is for {whose}")
+        if self.gpus is not None:
+            _numbers(self.gpus) if self.local else _share(self.gpus)
 
     @property
     def local(self) -> bool:
@@ -67,11 +72,57 @@ class Options:
                 words += [f"{word}={each}" for each in (value if isinstance(value, list) else [value])]
         return words
 
-    def slots(self, threads: Iterable[int], jobs: int) -> int:
-        """How many runs there are at a time, at the best."""
-        if self.local:
-            return self.workers or max(1, usable_cores() // max(threads, default=1))
-        return max(1, min(jobs, self.at_once or jobs))
+    def slots(self, threads: Iterable[int], jobs: int, on_cards: int = 0) -> int:
+        """How many runs there are at a time, at the best; so many of the jobs are on graphics cards."""
+        if not self.local:
+            return max(1, min(jobs, self.at_once or jobs))
+        most = max(threads, default=1)
+        cores, places = usable_cores() // most, self.cards(most).places if on_cards else 0
+        slots = self.workers or max(1, cores, places)
+        return min(slots, max(1, places)) if 0 < on_cards == jobs else slots
+
+    def cards(self, threads: int) -> Cards:
+        """The cards of this machine that runs of so many threads may use; none where there are none.
+
+        Raises UserError where one that was named is not here.
+        """
+        from rrm import devices
+        from rrmctl.planning import card_rates
+        from rrmctl.running.cards import Cards, names
+
+        here = devices.cards()
+        numbers = list(range(len(here))) if self.gpus is None else _numbers(self.gpus)
+        if gone := [number for number in numbers if number >= len(here)]:
+            there = ", ".join(map(devices.in_words, here)) or "there is none"
+            raise UserError(f"--gpus {self.gpus}: there is no card {gone[0]} here", f"cards here: {there}")
+        called = names(len(here))
+        share = max(1, usable_cores() // threads // max(1, len(numbers)))  # of the cores, for each card
+        rooms: dict[str, int] = {}
+        for number in numbers:
+            rates = card_rates.read(here[number])
+            usual = min(rates.best, rates.fitting(here[number].memory), share) if rates else 1
+            rooms[called[number]] = self.per_gpu or max(1, usual)
+        return Cards(rooms)
+
+
+def _numbers(gpus: str) -> list[int]:
+    """Numbers of cards, as typed."""
+    words = [word.strip() for word in gpus.split(",")]
+    if not all(word.isascii() and word.isdecimal() for word in words):
+        example = (
+            "with --executor local it lists cards by CUDA's numbers, e.g. 0,1; --per-gpu says how many runs share one"
+        )
+        raise UserError(f"--gpus is {gpus}, not a list of cards", example)
+    return list(dict.fromkeys(map(int, words)))
+
+
+def _share(gpus: str) -> float:
+    """A share of a card, as typed."""
+    try:
+        return float(gpus)
+    except ValueError:
+        hint = "with --executor ray it is a number, e.g. 0.25: Ray chooses the cards"
+        raise UserError(f"--gpus is {gpus}, not a share of a card", hint) from None
 
 
 class Work(NamedTuple):
@@ -89,16 +140,38 @@ def train(work: Work, options: Options) -> Exit:
 
 
 def _here(work: Work, options: Options) -> Exit:
+    from rrmctl.running.config_file import on_card
     from rrmctl.running.local import LocalExecutor
 
-    slots = options.slots((terms.threads for terms in work.assigned.values()), len(work.assigned))
-    return _drive(work, LocalExecutor(layout=work.layout, **_limits(options)), slots)
+    threads = [terms.threads for terms in work.assigned.values()]
+    on_cards = {job.id for job in work.assigned if on_card(work.layout.run(job.id))}
+    slots = options.slots(threads, len(work.assigned), len(on_cards))
+    if not on_cards:
+        if (options.gpus, options.per_gpu, options.mps) != (None, None, False):
+            tell("note: none of these runs is on a card: --gpus, --per-gpu and --mps change nothing", err=True)
+        return _drive(work, LocalExecutor(layout=work.layout, **_limits(options)), slots)
+    cards = options.cards(max(threads))
+    with _served(cards) if options.mps else contextlib.nullcontext(cards) as cards:
+        executor = LocalExecutor(layout=work.layout, cards=cards, **_limits(options))
+        return _drive(work, executor, slots, on_cards, cards.places)
+
+
+@contextlib.contextmanager
+def _served(cards: Cards) -> Iterator[Cards]:
+    """The same cards, by way of an MPS daemon."""
+    from rrmctl.running.cards import Cards
+    from rrmctl.running.mps import client_names, service
+
+    called = list(cards.rooms)
+    with service(called) as variables:
+        yield Cards(dict(zip(client_names(called), cards.rooms.values(), strict=True)), variables)
 
 
 def _ray(work: Work, options: Options) -> Exit:
     from rrmctl.cli.user_config import ray_site
 
-    site = ray_site(options.address, options.gpus, options.at_once)
+    gpus = None if options.gpus is None else _share(options.gpus)
+    site = ray_site(options.address, gpus, options.at_once)
     try:
         from rrmctl.running.ray_executor import RayExecutor, connected, misfits
     except ModuleNotFoundError as error:
@@ -123,8 +196,11 @@ def _limits(options: Options) -> _Limits:
     return {"memory_limit": memory, "hang_after_s": options.hang_after * 60.0}
 
 
-def _drive(work: Work, executor: Executor, slots: int) -> Exit:
-    """See the runs to their end, shown as bars at a terminal and as lines elsewhere."""
+def _drive(work: Work, executor: Executor, slots: int, on_cards: Collection[str] = (), places: int = 0) -> Exit:
+    """See the runs to their end, shown as bars at a terminal and as lines elsewhere.
+
+    Those `on_cards` wait for one of so many places.
+    """
     from rrmctl.cli.live import Bars, Lines
     from rrmctl.running.supervisor import Supervisor
 
@@ -134,7 +210,7 @@ def _drive(work: Work, executor: Executor, slots: int) -> Exit:
     with watcher.progress if isinstance(watcher, Bars) else contextlib.nullcontext():
         return Supervisor(
             layout=layout, jobs=list(assigned), terms={job.id: terms for job, terms in assigned.items()}, slots=slots,
-            watcher=watcher, executor=executor, asked=["rrmctl", *sys.argv[1:]],
+            watcher=watcher, executor=executor, on_cards=on_cards, places=places, asked=["rrmctl", *sys.argv[1:]],
         ).run()  # fmt: skip
 
 
@@ -185,7 +261,7 @@ class _Executor(NamedTuple):
 
 #: What --executor takes.
 EXECUTORS = {
-    "local": _Executor(_here, ("workers", "memory", "hang_after", "label"), here=True),
+    "local": _Executor(_here, ("workers", "memory", "hang_after", "label", "gpus", "per_gpu", "mps"), here=True),
     "slurm": _Executor(_slurm, ("slurm", "at_once", "pack"), here=False),
     "ray": _Executor(_ray, ("address", "gpus", "at_once", "memory", "hang_after", "label"), here=False),
 }

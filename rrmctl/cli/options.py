@@ -93,8 +93,21 @@ AddressOption = Annotated[str | None, typer.Option(
     metavar="HOST:PORT",
     help="With ray: the cluster's. Default: RAY_ADDRESS, else a cluster of this machine alone, while it lasts.",
 )]  # fmt: skip
-GpusOption = Annotated[float | None, typer.Option(
-    metavar="SHARE", help="With ray: of a card, for each run on one, e.g. 0.25. Default: 1.",
+DeviceOption = Annotated[str | None, typer.Option(
+    metavar="cpu|cuda|cuda:N|auto",
+    help="Where networks learn: --set device=... in short. cuda:1 is that card alone; auto is a card if there is one.",
+)]  # fmt: skip
+GpusOption = Annotated[str | None, typer.Option(
+    metavar="N,N|SHARE",
+    help="Here: the cards that runs may use, by CUDA's numbers, e.g. 0,1; default: all. With ray: of a card, for each "
+    "run on one, e.g. 0.25; default: 1.",
+)]  # fmt: skip
+PerGpuOption = Annotated[int | None, typer.Option(
+    "--per-gpu", min=1, metavar="N",
+    help="Runs at a time on each card. Default: as many as `rrmctl doctor --tune` found to pay, else 1.",
+)]  # fmt: skip
+MpsOption = Annotated[bool, typer.Option(
+    "--mps", help="Have NVIDIA's MPS daemon, started for this command, let runs share a card's work. Off by default.",
 )]  # fmt: skip
 PackOption = Annotated[
     int | None, typer.Option(min=1, metavar="K", help="With slurm: runs of a task, for short ones. Default: 1.")

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from rrm.hardware import usable_cores
 from rrmctl.cli import options
+from rrmctl.cli.executors import Options
 from rrmctl.cli.request import Forecast, Request, advise, beside, duration, forecast, in_words
 from rrmctl.errors import Exit, UserError
 from rrmctl.terminal import stdout_console
@@ -74,6 +74,7 @@ def plan(
     methods: options.MethodsOption = None,
     overrides: options.SetOption = None,
     prior: options.PriorOption = None,
+    device: options.DeviceOption = None,
     results: options.ResultsOption = options.DEFAULT_RESULTS,
     experiments: options.ExperimentsOption = None,
     by_job: Annotated[bool, typer.Option("--jobs", help="One line a job instead of one a group of seeds.")] = False,
@@ -93,7 +94,7 @@ def plan(
     """
     from rrmctl.store.layout import new_results
 
-    request = Request(name, experiments, profile, seeds, tasks, methods, overrides, prior)
+    request = Request(name, experiments, profile, seeds, tasks, methods, overrides, prior, device)
     layout = new_results(results)
     expected = forecast(request.plan(), layout)
     plan = expected.plan
@@ -101,7 +102,7 @@ def plan(
         about: dict[str, Any] = {
             name: getattr(plan, name) for name in ("experiment", "profile", "variant", "overrides")
         }
-        about |= {"core_hours": sum(expected.seconds.values()) / 3600, "core_hours_left": expected.hours_left}
+        about |= {"core_hours": expected.hours, "core_hours_left": expected.hours_left, "unknown": expected.unknown}
         for part in ("jobs", "needed", "deployments"):
             about[part] = [
                 asdict(job) | {"state": str(expected.states[job.id].state), "core_seconds": expected.seconds[job.id]}
@@ -117,7 +118,8 @@ def plan(
     console.print(_table(expected, by_job=by_job))
     states = ("done", "running", "interrupted", "failed", "blocked", "unreadable")
     there = ", ".join(f"{expected.count(state)} {state}" for state in states if expected.count(state))
-    words = in_words(expected, usable_cores())
+    slots = Options(executor="local").slots((), len(plan.everything), expected.on_cards)
+    words = in_words(expected, slots)
     console.print(f"\n{len(plan.jobs)} jobs{beside(plan)}, {there or 'none run yet'}. {words}")
     advise(console, request, expected, 0.0)
 
@@ -137,7 +139,8 @@ def _table(expected: Forecast, *, by_job: bool) -> Table:
         states = [str(expected.states[job.id].state) for job in jobs]
         for job, state in zip(jobs, states, strict=True) if by_job else ((jobs[0], ""),):
             which = (str(job.seed), state, job.id) if by_job else (str(len(jobs)), str(states.count("done")))
-            table.add_row(*names, f"{job.steps:,}", *which, duration(expected.seconds[job.id] / 3600))
+            seconds = expected.seconds[job.id]
+            table.add_row(*names, f"{job.steps:,}", *which, "?" if seconds is None else duration(seconds / 3600))
     return table
 
 
@@ -145,16 +148,25 @@ def doctor(
     results: options.ResultsOption = options.DEFAULT_RESULTS,
     experiments: options.ExperimentsOption = None,
     as_json: options.JsonOption = False,
-) -> None:
-    """Check this machine: versions, simulators, rendering, cores, arithmetic, disk. Says what is missing and the fix.
+    tune: Annotated[bool, typer.Option(
+        "--tune", help="Measure instead how many runs at a time each kind of graphics card here bears, in some "
+        "minutes; `run` and `plan` go by it from then on.",
+    )] = False,
+) -> None:  # fmt: skip
+    """Check this machine: versions, simulators, rendering, cores, arithmetic, cards, disk. Says what is missing and the
+    fix.
 
     Ends with 1 where something that is needed is missing. A note stops nothing: rendering and pybullet are for tasks
     that see images or drive the simulated robot arm.
     """
     from rich.text import Text
 
+    from rrmctl.cli.tune import tune as measure
     from rrmctl.doctor import examine
 
+    if tune:
+        measure(as_json=as_json)
+        return
     console = stdout_console(soft_wrap=True)
     checks = []
     for check in examine(results, experiments):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections import defaultdict
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -35,6 +36,27 @@ class Request:
     methods: list[str] | None = None
     overrides: list[str] | None = None
     priors: list[str] | None = None
+    device: str | None = None
+
+    @property
+    def assignments(self) -> list[str]:
+        """The overrides, that of the device among them."""
+        said = [text for text in self.overrides or [] if text.partition("=")[0].strip() == "device"]
+        if said and self.device is not None:
+            raise UserError(f"--device {self.device} and --set {said[0]} set one setting", "give one of them")
+        if self.device is not None and not re.fullmatch(r"cpu|auto|cuda(:\d+)?", self.device):
+            raise UserError(
+                f"--device is {self.device}", "it is cpu, cuda, the number of a card such as cuda:1, or auto"
+            )
+        return [*(self.overrides or []), *([] if self.device is None else [f"device={self.device}"])]
+
+    @property
+    def card(self) -> str | None:
+        """The number of the card that is asked for, as `--gpus` takes it; None where any will do."""
+        from rrmctl.planning.settings import parse_assignments
+
+        named = [text for text in self.assignments if text.partition("=")[0].strip() == "device"]
+        return str(parse_assignments(named).get("device", "")).partition(":")[2] or None
 
     def plan(self) -> Plan:
         """The jobs; a `UserError` where the experiment is unknown, or an option does not fit it."""
@@ -45,7 +67,7 @@ class Request:
         return make_plan(
             load(find(self.name, self.experiments)), profile=self.profile, seeds=self.seeds,
             tasks=split_names(self.tasks), methods=split_names(self.methods),
-            overrides=self.overrides or [], priors=self.priors or [],
+            overrides=self.assignments, priors=self.priors or [],
         )  # fmt: skip
 
 
@@ -55,7 +77,7 @@ class Forecast:
 
     plan: Plan
     states: Mapping[str, Status]  #: by job id
-    seconds: Mapping[str, float]  #: from nothing to the end, by job id
+    seconds: Mapping[str, float | None]  #: from nothing to the end, by job id; None where nobody knows
     measured: int  #: jobs whose cost comes from stored runs
 
     def count(self, state: str) -> int:
@@ -64,17 +86,34 @@ class Forecast:
 
     @property
     def seconds_left(self) -> dict[str, float]:
-        """Of one core, still to be paid, by job id."""
+        """Of one core, still to be paid, by job id; of those whose cost is known."""
         shares = {
             job: 0.0 if status.state == "done" else 1.0 - status.step / status.steps if status.steps else 1.0
             for job, status in self.states.items()
         }
-        return {job: self.seconds[job] * share for job, share in shares.items()}
+        return {job: whole * shares[job] for job, whole in self.seconds.items() if whole is not None}
+
+    @property
+    def unknown(self) -> int:
+        """Jobs that are not done and whose cost nobody knows."""
+        return sum(self.seconds[job] is None and status.state != "done" for job, status in self.states.items())
+
+    @property
+    def hours(self) -> float:
+        """Core-hours from nothing to the end, of what is known."""
+        return sum(whole for whole in self.seconds.values() if whole is not None) / 3600
 
     @property
     def hours_left(self) -> float:
-        """Core-hours still to be paid."""
+        """Core-hours still to be paid, of what is known."""
         return sum(self.seconds_left.values()) / 3600
+
+    @property
+    def on_cards(self) -> int:
+        """Jobs that are on graphics cards."""
+        from rrmctl.planning.cost import on_card
+
+        return sum(map(on_card, self.plan.configs.values()))
 
 
 def forecast(plan: Plan, layout: Layout) -> Forecast:
@@ -117,19 +156,30 @@ def beside(plan: Plan) -> str:
     return "".join(f" and {count} {words}" for count, words in counts if count)
 
 
-def in_words(expected: Forecast, cores: int) -> str:
-    """One line: core-hours left, hours on this machine, and where the numbers come from."""
+#: What is said of runs on cards where nobody has measured one.
+_UNMEASURED = "nobody has measured a card of this machine: `rrmctl doctor --tune` does, where the card is"
+
+
+def in_words(expected: Forecast, slots: int) -> str:
+    """One line: core-hours left, hours on this machine with so many runs at a time, and where the numbers come from."""
     if expected.count("done") == len(expected.states):
         return "Everything is done; running it again does nothing."
     hours, jobs, source = expected.hours_left, len(expected.states), "from the speed of stored runs"
+    if expected.unknown and not hours:
+        return f"How long it takes is not known: {_UNMEASURED}."
     if expected.measured < jobs:
-        table = "an estimate from the measured speed of one core and a table of costs"
+        cards = " or of a card" if expected.on_cards else ""
+        table = f"an estimate from the measured speed of one core{cards} and a table of costs"
         source = f"{expected.measured} of {jobs} jobs {source}, the rest {table}" if expected.measured else table
     # No number of cores makes a sweep shorter than its longest job.
     longest = max(expected.seconds_left.values()) / 3600
+    places = f"{slots} core{'s' if slots > 1 else ''}"
+    if expected.on_cards == jobs:
+        places = f"the cards, {slots} run{'s' if slots > 1 else ''} at a time"
+    rest = f" How long {expected.unknown} jobs on cards take is not known: {_UNMEASURED}." if expected.unknown else ""
     return (
-        f"About {duration(hours)} of one core are left, {duration(max(hours / cores, longest))} on {cores} "
-        f"core{'s' if cores > 1 else ''} ({source})."
+        f"About {duration(hours)} of one core are left, {duration(max(hours / slots, longest))} on {places} "
+        f"({source}).{rest}"
     )
 
 
@@ -158,17 +208,20 @@ def smaller(request: Request, plan: Plan) -> list[str]:
     from rrmctl.planning.cost import estimate_seconds
     from rrmctl.planning.profiles import profiles
 
-    bound = sum(estimate_seconds(plan, {}).values())
+    whole = estimate_seconds(plan, {})
+    bound = sum(each or 0.0 for each in whole.values())
     seeds = {job.seed for job in plan.jobs}  # they cost the same, so one of them is planned
     lines = []
     for name, scale in profiles().items():
-        if name == plan.profile:
+        if name == plan.profile or None in whole.values():
             continue
         try:
             other = replace(request, profile=name, seeds=f"{min(seeds)},").plan()
         except UserError:  # a profile that cannot hold the request is no advice
             continue
-        once = estimate_seconds(other, {})  # what all seeds need is run once
+        once = {
+            job: each or 0.0 for job, each in estimate_seconds(other, {}).items()
+        }  # what all seeds need is run once
         seconds = sum(once.values()) + (len(seeds) - 1) * sum(once[job.id] for job in other.jobs)
         if seconds < bound / 2:  # a profile that saves little is no advice
             lines.append(f"--profile {name}: about {duration(seconds / 3600)} of one core; {scale.about}")

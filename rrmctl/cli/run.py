@@ -43,6 +43,7 @@ def run(
     profile: options.ScaleOption = None,
     overrides: options.SetOption = None,
     prior: options.PriorOption = None,
+    device: options.DeviceOption = None,
     workers: options.WorkersOption = None,
     memory: options.MemoryOption = None,
     hang_after: options.HangOption = options.HANG_AFTER_MIN,
@@ -52,6 +53,8 @@ def run(
     pack: options.PackOption = None,
     address: options.AddressOption = None,
     gpus: options.GpusOption = None,
+    per_gpu: options.PerGpuOption = None,
+    mps: options.MpsOption = False,
     results: options.ResultsOption = options.DEFAULT_RESULTS,
     experiments: options.ExperimentsOption = None,
     retry_failed: options.RetryOption = False,
@@ -92,10 +95,13 @@ def run(
 
       rrmctl run toy-car --until-decided --max-seeds 20 --against pebble
 
+      rrmctl run main-results --device cuda --gpus 0,1 --per-gpu 8
+
       rrmctl run main-results --executor slurm --slurm=--account=x --slurm=--time=8:00:00
 
       rrmctl run main-results --executor ray --address head:6379
     """
+    from rrm.devices import CPU
     from rrmctl.cli.until_decided import asked_rules, until_decided
     from rrmctl.running.supervisor import Terms
     from rrmctl.store.drivers import driving
@@ -104,29 +110,33 @@ def run(
     from rrmctl.store.sweeps import readable_sweeps
 
     screen = console(unfailing(sys.stderr))
+    request = Request(name, experiments, profile, seeds, tasks, methods, overrides, prior, device)
+    gpus = request.card if gpus is None and executor == "local" else gpus
     how = Options(
-        executor=executor, workers=workers, memory=memory, hang_after=hang_after, label=label,
-        slurm=slurm, at_once=at_once, pack=pack, address=address, gpus=gpus,
+        executor=executor, workers=workers, memory=memory, hang_after=hang_after, label=label, slurm=slurm,
+        at_once=at_once, pack=pack, address=address, gpus=gpus, per_gpu=per_gpu, mps=mps,
     )  # fmt: skip
     rules = asked_rules(until, max_seeds, group, against, other=seeds is not None or force)
-    seeds = str(rules.most) if rules else seeds
-    request = Request(name, experiments, profile, seeds, tasks, methods, overrides, prior)
+    request = replace(request, seeds=str(rules.most)) if rules else request
     layout = new_results(results)
     plan = request.plan()
     note_damage(readable_sweeps(layout)[1])
-    slots = how.slots((config.threads for config in plan.configs.values()), len(plan.everything))
     expected = forecast(plan, layout)
     anew = {job.id for job in (*plan.jobs, *plan.deployments)} if force else set()
-    before = replace(expected, states=dict.fromkeys(expected.states, Status())) if force else expected
-    introduce(screen, request, before, slots)
-    if rules:
-        screen.print(f"  note: at most; what is decided after a group of {rules.group} seeds runs no more of them")
 
     def wanted(job: Job, status: Status) -> bool:
         return job.id in anew or _is_open(status, retry_failed=retry_failed)
 
-    drain(screen.file)
     begun = [plan.configs[job.id] for job in plan.everything if wanted(job, expected.states[job.id])]
+    if how.local:
+        _require_devices(getattr(config, "device", CPU) for config in begun)
+    threads = (config.threads for config in plan.configs.values())
+    slots = how.slots(threads, len(plan.everything), expected.on_cards)
+    before = replace(expected, states=dict.fromkeys(expected.states, Status())) if force else expected
+    introduce(screen, request, before, slots)
+    if rules:
+        screen.print(f"  note: at most; what is decided after a group of {rules.group} seeds runs no more of them")
+    drain(screen.file)
     _require((config.task for config in begun), (config.needs_opengl for config in begun if how.local))
 
     def execute(part: Plan) -> tuple[Exit, SweepRecord]:
@@ -161,6 +171,8 @@ def resume(
     pack: options.PackOption = None,
     address: options.AddressOption = None,
     gpus: options.GpusOption = None,
+    per_gpu: options.PerGpuOption = None,
+    mps: options.MpsOption = False,
     results: options.ResultsOption = options.DEFAULT_RESULTS,
     retry_failed: options.RetryOption = False,
     trust: Annotated[
@@ -171,6 +183,7 @@ def resume(
 
     The configurations recorded then are run, whatever the manifests say today.
     """
+    from rrm.devices import CPU
     from rrmctl.running.config_file import code_files, needs_opengl
     from rrmctl.running.supervisor import Terms
     from rrmctl.store.drivers import driving
@@ -180,7 +193,7 @@ def resume(
     screen = console(unfailing(sys.stderr))
     how = Options(
         executor=executor, workers=workers, memory=memory, hang_after=hang_after,
-        slurm=slurm, at_once=at_once, pack=pack, address=address, gpus=gpus,
+        slurm=slurm, at_once=at_once, pack=pack, address=address, gpus=gpus, per_gpu=per_gpu, mps=mps,
     )  # fmt: skip
     store = Snapshot(results, name, lenient=True)
     note_damage(store.damage)
@@ -197,7 +210,7 @@ def resume(
         screen.print(f"configurations are missing; this makes them, and the runs: {command}", soft_wrap=True)
     assigned: dict[Job, Terms] = {}
     code_of_users: dict[str, str] = {}  # digests by path
-    tasks, drawing = [], []  # and whether the runs need OpenGL
+    tasks, drawing, devices = [], [], []  # and whether the runs need OpenGL
     for run, job in left.items():
         threads = 1
         with contextlib.suppress(UserError):  # the run's own worker refuses it with this message; the others go on
@@ -205,11 +218,14 @@ def resume(
             code_of_users |= code_files(config)
             threads = int(config["threads"])
             tasks.append(str(config.get("task")))
+            devices.append(str(config.get("device", CPU)))
             drawing.append(needs_opengl(store.layout.run(run), config))
         if run not in gone:
             assigned[job] = Terms(threads=threads, attempt=store.states[run].attempt)
     drain(screen.file)
     require_trust(results, code_of_users, trust=trust, asks=_asks())
+    if how.local:
+        _require_devices(devices)
     _require(tasks, drawing if how.local else ())
     with driving(store.layout, {sweep.experiment for sweep in store.sweeps}, how.again):
         code = train(Work(screen, store.layout, assigned, store.sweeps), how)
@@ -232,6 +248,14 @@ def _require(tasks: Iterable[str], opengl: Iterable[bool]) -> None:
         from rrm.rendering import renderer
 
         renderer()
+
+
+def _require_devices(devices: Iterable[str]) -> None:
+    """Refuse runs on a graphics card where there is none that can be used."""
+    from rrm.devices import check_device
+
+    for device in sorted(set(devices)):
+        check_device(device)
 
 
 def _asks() -> bool:

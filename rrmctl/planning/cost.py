@@ -1,7 +1,7 @@
 """What a plan will cost: by the speed of runs of the same kind in the store, else by the table costs.toml.
 
-Matrix products scale with the size of the networks and with the measured speed of this core. The table is good to about
-a factor of two. One job keeps one core busy.
+Matrix products scale with the size of the networks and with the measured speed of this core, or of the card that they
+are on. The table is good to about a factor of two. One job keeps one core busy.
 """
 
 from __future__ import annotations
@@ -13,8 +13,11 @@ from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rrm.config import AIRL, DrqConfig
+from rrm.config import AIRL, DrqConfig, EvaluationConfig, ExplorationConfig, RewardConfig
+from rrm.devices import CUDA, cards
 from rrm.training.kinds import DemosConfig, DeploymentConfig
+from rrm.training.run_config import RunConfig
+from rrmctl.planning import card_rates
 from rrmctl.planning.toml import read_toml
 
 if TYPE_CHECKING:
@@ -26,19 +29,49 @@ if TYPE_CHECKING:
 _COSTS = read_toml(Path(__file__).with_name("costs.toml"))
 
 
-def estimate_seconds(plan: Plan, speeds: Mapping[tuple[str, str, str], float]) -> dict[str, float]:
-    """What every job of a plan takes on a core of its own, from nothing to the end, by id.
+def estimate_seconds(plan: Plan, speeds: Mapping[tuple[str, str, str], float]) -> dict[str, float | None]:
+    """What every job of a plan takes on a core of its own, and on its place of a card where it is on one, from nothing
+    to the end, by id; None where nobody knows: what a card does, only measuring it tells.
 
     Stored runs have their speeds, evaluation included, in steps per second by task, method and variant.
     """
-    seconds: dict[str, float] = {}
-    tabled: dict[tuple[str, ...], float] = {}
+    seconds: dict[str, float | None] = {}
+    tabled: dict[tuple[str, ...], float | None] = {}
     for job in plan.everything:
-        speed = speeds.get((job.task, job.method, plan.variant))
-        if speed is None and job.row not in tabled:  # seeds cost the same
-            tabled[job.row] = tabled_seconds(plan.configs[job.id], core_speed())
-        seconds[job.id] = tabled[job.row] if speed is None else _COSTS["start"] / 1000 + job.steps / speed
+        stored = speeds.get((job.task, job.method, plan.variant))
+        if stored is None and job.row not in tabled:  # seeds cost the same
+            config = plan.configs[job.id]
+            speed = card_speed() if on_card(config) else core_speed()
+            tabled[job.row] = None if speed is None else tabled_seconds(config, speed)
+        seconds[job.id] = tabled[job.row] if stored is None else _COSTS["start"] / 1000 + job.steps / stored
     return seconds
+
+
+def on_card(config: Config) -> bool:
+    """Whether networks learn on a graphics card."""
+    return isinstance(config, RunConfig) and config.device == CUDA  # of a plan: canonical
+
+
+def trial(device: str, seed: int) -> RunConfig:
+    """The run by which a card is measured: networks and batches of the paper's size, and little else to do."""
+    return RunConfig(
+        task="toy-car", seed=seed, device=device, steps=1_000_000, reward=RewardConfig(learner="true"),
+        evaluation=EvaluationConfig(every=1_000_000), exploration=ExplorationConfig(seed_steps=100),
+    )  # fmt: skip
+
+
+def card_speed() -> float | None:
+    """How fast a card of this machine multiplies for each of so many runs as pay, 1 for the table's core; None where
+    there is none, or nobody has measured it.
+    """
+    rates = card_rates.read(cards()[0]) if cards() else None
+    if rates is None:
+        return None
+    config = trial(CUDA, 0)
+    without, with_core = (tabled_seconds(config, speed) for speed in (math.inf, 1.0))
+    took = config.steps / rates.each
+    # A card may be quicker than what the table has for all that is no product: then products are as good as free.
+    return (with_core - without) / max(took - without, 0.01 * took)
 
 
 @cache

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from rrm.devices import kind_of
 from rrm.errors import RrmError
 from rrmctl.errors import UserError, check_known, shown
 from rrmctl.labels import Label, deployed
@@ -70,6 +71,8 @@ def make_plan(
     scale = manifest.default_profile if profile is None else profile
     check_known(scale, profiles(), f'{where}: unknown profile "{scale}"')
     settings = parse_assignments(overrides)
+    if "device" in settings:  # which card of this machine is a matter of one command
+        settings["device"] = kind_of(settings["device"])
     numbers = parse_seeds(manifest.seeds, f"{manifest.path}: seeds") if seeds is None else parse_seeds(seeds, "--seeds")
     rows = rows_of(manifest)
     own = {row.method: method(row.method, manifest) for row in rows}

@@ -28,8 +28,8 @@ _KIND = f"{_AGENT}kind"
 _DEPLOY = "deploy."
 _RIG = f"{_DEPLOY}rig."
 
-#: Text that needs no quotes after --set: a word, or the path of a file.
-_BARE = re.compile(r"[\w-]+|[\w~./-]*[/.][A-Za-z][\w./-]*")
+#: Text that needs no quotes after --set: a word, a word and a number (cuda:1), or the path of a file.
+_BARE = re.compile(r"[\w-]+|[a-z]+:\d+|[\w~./-]*[/.][A-Za-z][\w./-]*")
 
 #: So much of an assignment is repeated in a message.
 _LONGEST = 200

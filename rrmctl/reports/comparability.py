@@ -1,7 +1,7 @@
 """How the runs of a section were made: what must be equal among them, and what may differ but is said.
 
-Numbers depend on more than the settings of a run. Runs of different configuration versions, packages, simulators or
-precisions are not averaged or compared, unless a reader asks for it; then every form of the report says so.
+Numbers depend on more than the settings of a run. Runs of different configuration versions, packages, simulators,
+devices or precisions are not averaged or compared, unless a reader asks for it; then every form of the report says so.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from rrm.devices import CPU
 from rrmctl.commands import run_commands
 from rrmctl.errors import UserError
 from rrmctl.labels import Label, policy
@@ -25,7 +26,12 @@ if TYPE_CHECKING:
 
 VERSION = "configuration version"
 PRECISION = "precision"
+DEVICE = "device"
+CARD = "card"
 TRUE_REWARD = "true reward on fixed states"
+
+#: What belongs to a method, as its readers are told: it may differ between methods, and not within one.
+_OF_METHODS = (DEVICE, CARD, PRECISION)
 
 #: Packages that every run uses, and what each environment says of itself (its simulator among it), as recorded.
 _PACKAGES = {"versions.rrmctl": "rrmctl", "versions.torch": "torch"}
@@ -59,6 +65,8 @@ def making(store: Snapshot, run: str) -> Making:
     """How this run was made. Raises UserError where its configuration is missing, or a file is damaged."""
     config, recorded = store.config(run), made_with(store.provenance(run))
     facts = {VERSION: str(config["config_version"]), PRECISION: str(config["precision"])}
+    facts |= {DEVICE: str(config.get("device", CPU))}  # before there was a choice
+    facts |= {CARD: recorded[CARD]} if CARD in recorded else {}
     facts |= {name: recorded[key] for key, name in _PACKAGES.items() if key in recorded}
     for key in (key for key in recorded if key.startswith(_ENVIRONMENT)):
         name = key.removeprefix(_ENVIRONMENT)
@@ -69,13 +77,14 @@ def making(store: Snapshot, run: str) -> Making:
 def mixture(section: Section, makings: Mapping[str, Making]) -> Mixture:
     """What differs among the runs of a section and must not.
 
-    A method's precision is part of what the method is, so it is compared among the runs of one method; the true reward
-    among those of one task; everything else among all.
+    A method's device, its card and its precision are part of what the method is, so they are compared among the runs of
+    one method; the true reward among those of one task; everything else among all.
     """
     values: dict[str, dict[str, list[Made]]] = defaultdict(lambda: defaultdict(list))
     for made in _runs(section):
         for fact, value in makings[made.run].facts.items():
-            scope = {PRECISION: f" of {made.label.method}", TRUE_REWARD: f" of {made.label.task}"}.get(fact, "")
+            of_method = dict.fromkeys(_OF_METHODS, f" of {made.label.method}")
+            scope = {**of_method, TRUE_REWARD: f" of {made.label.task}"}.get(fact, "")
             values[fact + scope][value].append(made)
     return {fact: dict(sorted(runs.items())) for fact, runs in values.items() if len(runs) > 1}
 
@@ -95,12 +104,14 @@ def remarks(section: Section, makings: Mapping[str, Making]) -> Iterator[str]:
         yield f"The runs were made by {states} states of the code (digests of its sources)."
     if unknown := [made for run, made in runs.items() if makings[run].code is None]:
         yield f"Nothing was recorded of how these were made, and nothing could be compared: {_which(unknown)}."
-    precisions: dict[str, dict[str, None]] = defaultdict(dict)
-    for run, made in runs.items():
-        precisions[makings[run].facts[PRECISION]][made.label.method] = None
-    if len(precisions) > 1:
-        which = "; ".join(f"{name}: {', '.join(methods)}" for name, methods in sorted(precisions.items()))
-        yield f"Methods differ in precision: {which}."
+    for fact in _OF_METHODS:
+        methods: dict[str, dict[str, None]] = defaultdict(dict)
+        for run, made in runs.items():
+            if (value := makings[run].facts.get(fact)) is not None:
+                methods[value][made.label.method] = None
+        if len(methods) > 1:
+            which = "; ".join(f"{value}: {', '.join(names)}" for value, names in sorted(methods.items()))
+            yield f"Methods differ in {fact}: {which}."
 
 
 def refuse(section: Section, mixed: Mixture, layout: Layout) -> UserError:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections import Counter
 from collections.abc import Iterable
+from itertools import product
 from typing import TYPE_CHECKING, Any
 
 from rrm.tuning import in_words
@@ -23,7 +24,12 @@ GROUP = Label._fields
 _IDENTITY = ("id", "cell", "seed", "task", "method", "profile")
 
 #: Of a provenance, what can change a number.
-_MAKING = ("code", "python", "platform", "cpu", "host", "precision", "threads", "products", "versions", "fingerprint")
+_MAKING = (
+    "code", "python", "platform", "cpu", "card", "host", "precision", "threads", "products", "versions", "fingerprint"
+)  # fmt: skip
+
+#: What runs did before there was a setting for it, as JSON.
+_BEFORE = {"device": '"cpu"'}
 
 _SPENT = dict.fromkeys(("runs", "done", "steps", "queries", "labels"), WHOLE) | {"wall_s": NUMBER}
 
@@ -86,6 +92,8 @@ def _settings(runs: Iterable[Run]) -> tuple[dict[str, dict[str, str]], dict[str,
         for run, own in flat.items()
     }
     names = dict.fromkeys(name for own in values.values() for name in own)
+    for own, name in product(values.values(), _BEFORE.keys() & names):
+        own.setdefault(name, _BEFORE[name])
     return values, {name: {own.get(name) for own in values.values()} for name in names}
 
 

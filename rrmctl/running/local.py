@@ -16,9 +16,12 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from multiprocessing.connection import wait
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 from rrm.environ import environment
+from rrmctl.running.cards import NO_CARD, REPEATABLE, Cards
+from rrmctl.running.config_file import on_card
 from rrmctl.running.executor import Ended, Evaluated, Event, Note, Progress, Started, WorkOrder
 from rrmctl.running.scheduler import Outcome, Stage
 from rrmctl.running.worker import WorkerExit
@@ -58,7 +61,8 @@ _SENT = frozenset({signal.SIGKILL, signal.SIGTERM, signal.SIGINT, signal.SIGHUP,
 
 
 class Child:
-    """The worker of one run. Its output goes to the run's log; root, id and options are added to the command.
+    """The worker of one run. Its output goes to the run's log; root, id and options are added to the command, and
+    variables to its environment.
 
     Raises StorageError where the log cannot be opened, and OSError where the system starts no further process.
     """
@@ -69,6 +73,7 @@ class Child:
         order: WorkOrder,
         command: Sequence[str] = WORKER,
         clock: Callable[[], float] = time.monotonic,
+        variables: Mapping[str, str] = MappingProxyType({}),
     ) -> None:
         self.job = order.run
         self._clock = clock
@@ -92,7 +97,7 @@ class Child:
             self._process = subprocess.Popen(
                 [*words, "--pipe", str(writing), "--parent", str(os.getpid())],
                 stdin=subprocess.DEVNULL, stdout=output, stderr=subprocess.STDOUT, pass_fds=(writing,),
-                start_new_session=True, env=worker_environment(order.threads),
+                start_new_session=True, env=worker_environment(order.threads) | dict(variables),
             )  # fmt: skip
         except BaseException:
             os.close(self.pipe)
@@ -209,6 +214,7 @@ class LocalExecutor:
     layout: Layout
     hang_after_s: float = 1800.0  #: silence after which a worker counts as hung; a feedback session may take minutes
     memory_limit: int | None = None  #: bytes that a worker may take; None: as much as there is
+    cards: Cards | None = None  #: for runs on one; None: each takes the first that it finds
     command: Sequence[str] = WORKER
     _children: dict[str, Child] = field(default_factory=dict, init=False)
     _waking: WakingTime = field(default_factory=WakingTime, init=False)
@@ -216,7 +222,22 @@ class LocalExecutor:
     _weighed: float = field(default=0.0, init=False)  #: when the memory of workers was last looked at
 
     def submit(self, order: WorkOrder) -> None:
-        self._children[order.run] = Child(self.layout, order, command=self.command, clock=self._waking)
+        try:
+            variables = self._variables(order.run)
+            self._children[order.run] = Child(self.layout, order, self.command, self._waking, variables)
+        except BaseException:
+            self._leave_card(order.run)
+            raise
+
+    def _variables(self, run: str) -> Mapping[str, str]:
+        """Those by which the process of a run finds its card, or none."""
+        if not on_card(self.layout.run(run)):
+            return NO_CARD
+        return REPEATABLE if self.cards is None else self.cards.take(run)
+
+    def _leave_card(self, run: str) -> None:
+        if self.cards is not None:
+            self.cards.free(run)
 
     def events(self, wait_s: float) -> Iterator[Event]:
         speaking = {child.pipe: child for child in self._children.values() if child.open}
@@ -227,6 +248,7 @@ class LocalExecutor:
             yield from child.events()
             child.close()
             del self._children[child.job]
+            self._leave_card(child.job)
             yield Ended(child.job, child.outcome(stopping=self._stopping))
 
     @property
@@ -243,7 +265,12 @@ class LocalExecutor:
             child.kill()
         for child in self._children.values():
             child.wait()
+            self._leave_card(child.job)
         self._children.clear()
+
+    def memory(self) -> int:
+        """Resident memory of all workers, in bytes; of those that the system tells of."""
+        return sum(child.memory() or 0 for child in self._children.values())
 
     def _end_misbehaving(self) -> None:
         """End workers that are silent for too long, and those that take too much memory."""

@@ -47,6 +47,8 @@ class Scheduler:
         slots: how many may run at a time.
         retries: how often a job that crashed is tried again without a further evaluation in between.
         requires: for jobs that need others, which; those that are none of `jobs` count as done.
+        on_cards: those that need a place on a graphics card.
+        places: how many of those may run at a time.
     """
 
     def __init__(
@@ -56,11 +58,15 @@ class Scheduler:
         slots: int,
         retries: int = 2,
         requires: Mapping[str, Collection[str]] = MappingProxyType({}),
+        on_cards: Collection[str] = (),
+        places: int = 0,
     ) -> None:
         self._queue: deque[str] = deque(jobs)
         self._stages = dict.fromkeys(self._queue, Stage.WAITING)
         self._requires = {job: [run for run in needed if run in self._stages] for job, needed in requires.items()}
         self._slots = slots
+        self._on_cards = frozenset(on_cards)
+        self._places = places
         self._retries = retries
         self._crashes: Counter[str] = Counter()
         self._kills: Counter[str] = Counter()
@@ -70,10 +76,11 @@ class Scheduler:
         self.stopping = False  #: nothing starts any more
 
     def next(self) -> str | None:
-        """The job that may start now; None while every slot is taken or nothing waits but for others."""
+        """The job that may start now; None while every slot is taken or nothing waits but for others, or for cards."""
         if self.stopping or len(self._running) >= self._slots:
             return None
-        return next(filter(self._ready, self._queue), None)
+        full = len(self._running & self._on_cards) >= self._places
+        return next((job for job in self._queue if self._ready(job) and not (full and job in self._on_cards)), None)
 
     def _ready(self, job: str) -> bool:
         return all(self._stages[needed] is Stage.DONE for needed in self._requires.get(job, ()))

@@ -11,7 +11,7 @@ import json
 import signal
 import threading
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Protocol
 
@@ -68,6 +68,8 @@ class Supervisor:
     watcher: Watcher
     executor: Executor
     terms: Mapping[str, Terms] = field(default_factory=dict)  #: by id; where they are not the usual ones
+    on_cards: Collection[str] = ()  #: ids of those that wait for a place on a graphics card
+    places: int = 0  #: so many of those at a time
     retries: int = 2
     lease_s: float | None = (
         None  #: silence after which the runs of other processes are taken over; None: as usual there
@@ -90,7 +92,14 @@ class Supervisor:
         self._lease_s = lease_s(self.layout.root) if self.lease_s is None else self.lease_s
         self._watch = Watch(self._lease_s, self._waking)
         requires = {job.id: job.requires for job in self.jobs if job.requires}
-        self.scheduler = Scheduler(self._terms, slots=self.slots, retries=self.retries, requires=requires)
+        self.scheduler = Scheduler(
+            self._terms,
+            slots=self.slots,
+            retries=self.retries,
+            requires=requires,
+            on_cards=self.on_cards,
+            places=self.places,
+        )
 
     def run(self) -> Exit:
         """See every job to its end, or to a good place to stop; `INTERRUPTED` where it was ended at once."""

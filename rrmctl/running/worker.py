@@ -21,6 +21,7 @@ from enum import IntEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol, TypeVar
 
+from rrm.devices import CPU, check_device
 from rrmctl.commands import rrmctl
 from rrmctl.errors import UserError
 from rrmctl.running.config_file import MissingFileError, load_config
@@ -139,6 +140,7 @@ def _attempt(
                     shutil.rmtree(folder.checkpoint)
             if not finished:
                 if trainer is None:
+                    check_device(stored.get("device", CPU))
                     import torch
 
                     torch.set_num_threads(config.threads)  # before it computes anything
@@ -230,8 +232,7 @@ def _report(folder: RunFolder, error: Exception, pipe: Pipe, lease: Lease | None
 def _reason(folder: RunFolder, error: Exception) -> tuple[WorkerExit, ErrorKind, str]:
     from rrm.errors import MissingResultError, RrmError, WaitingError
 
-    hint = getattr(error, "hint", None)
-    message = f"{error} ({hint})" if hint else str(error)
+    message = f"{error} ({hint})" if (hint := getattr(error, "hint", None)) else str(error)
     match error:
         case files.StorageError():
             message = f"{error} ({error.todo}, then `{rrmctl('resume', results=folder.results)}` goes on)"
@@ -244,7 +245,21 @@ def _reason(folder: RunFolder, error: Exception) -> tuple[WorkerExit, ErrorKind,
             return WorkerExit.REFUSED, ErrorKind.DAMAGED, message
         case UserError() | RrmError():
             return WorkerExit.REFUSED, ErrorKind.REFUSED, message
-    return WorkerExit.CRASHED, ErrorKind.CRASHED, str(error)
+    if (told := _card_full(error)) is None:
+        kind = ErrorKind.CRASHED
+    else:
+        kind, remedy = ErrorKind.MEMORY, "fewer runs to a card (--per-gpu), or a smaller agent.batch"
+        message = f"the card's memory is full ({told}): {remedy}"
+    return WorkerExit.CRASHED, kind, message
+
+
+def _card_full(error: Exception) -> str | None:
+    """What an error says that comes of too little memory on a graphics card; None for all other errors."""
+    text = (str(error).splitlines() or [""])[0]
+    named = any(kind.__name__ == "OutOfMemoryError" for kind in type(error).__mro__)  # torch need not be loaded
+    if named or "CUDA error: out of memory" in text or "_STATUS_ALLOC_FAILED" in text:
+        return text.partition(" Of the allocated memory")[0].rstrip(".")  # advice on torch's settings follows
+    return None
 
 
 def _log(text: str) -> None:

@@ -17,6 +17,7 @@ from typing import Annotated, Any
 from pydantic import AfterValidator, StrictInt, StrictStr
 
 import rrm
+from rrm.devices import CUDA, cards
 from rrm.hardware import cpu_model
 from rrm.tuning import OTHERWISE, Choice, in_words
 from rrmctl.errors import UserError
@@ -80,10 +81,12 @@ def collect(
         products: which ways its networks' products go.
         argv: the command that asked for the run.
     """
+    card = {"card": next((card.name for card in cards()), "unknown")} if config.get("device") == CUDA else {}
     return {
         "python": platform.python_version(),
         "platform": f"{platform.system()} {platform.machine()}",
         "cpu": cpu_model(),
+        **card,
         "versions": {name: version(name) or "absent" for name in PACKAGES},
         "code": code_digest("rrm"),
         "config": hashlib.sha256(json.dumps(config, sort_keys=True).encode()).hexdigest()[:16],

@@ -14,10 +14,12 @@ from pathlib import Path
 
 import pytest
 
-from rrm import tuning
+from rrm import devices, tuning
+from rrm.devices import Card
 from rrm.rendering import Renderer
 from rrm.tuning import EXACT, FORMS, ROUNDED, SEEING, SHAPES, Machine, cell, measure
 from rrmctl import doctor
+from rrmctl.planning import card_rates
 from rrmctl.planning.experiments import SHIPPED
 
 
@@ -205,3 +207,66 @@ def test_a_torch_that_does_not_compute(monkeypatch: pytest.MonkeyPatch, tmp_path
     (found,) = doctor.arithmetic()
     assert found.state == "missing"
     assert "No module named 'torch_that_is_broken'" in found.found
+
+
+CARD = Card(0, "NVIDIA A", 80 * 2**30)
+
+
+@pytest.fixture
+def driven(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Callable[..., list[doctor.Check]]:
+    """What is said of cards where these are the facts."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+
+    def examine(
+        cards: tuple[Card, ...] = (), driver: str | None = None, speaks: str | None = None, torch: str | None = None
+    ) -> list[doctor.Check]:
+        facts = {"cards": cards, "driver_version": driver, "cuda_of_driver": speaks, "cuda_of_torch": torch}
+        for name, fact in facts.items():
+            monkeypatch.setattr(devices, name, lambda fact=fact: fact)
+        return list(doctor.graphics())
+
+    return examine
+
+
+def test_a_machine_without_a_card(driven: Callable[..., list[doctor.Check]]) -> None:
+    """It is as good; what would make a card usable is said."""
+    (check,) = driven(torch="12.8")
+    assert (check.state, check.found) == ("note", "no NVIDIA driver is found: networks learn on the processor")
+    assert "install NVIDIA's driver" in check.fix
+    (check,) = driven(driver="550.54", torch="12.8")
+    assert (check.state, check.found[:42]) == ("note", "driver 550.54, but CUDA lists no card: net")
+    assert "CUDA_VISIBLE_DEVICES" in check.fix
+
+
+def test_a_card_that_torch_cannot_use(driven: Callable[..., list[doctor.Check]]) -> None:
+    """Torch is built without CUDA, or for a newer one than the driver speaks; a newer minor version is no matter."""
+    (check,) = driven((CARD,), "550.54", "12.4")
+    assert check.state == "note"
+    assert check.found == (
+        "cuda:0 (NVIDIA A, 80 GiB); driver 550.54, which speaks CUDA 12.4; this torch is built without CUDA"
+    )
+    assert "-m pip install --force-reinstall torch" in check.fix
+    (check,) = driven((CARD,), "520.10", "11.8", "12.8")
+    assert check.state == "note"
+    assert check.found.endswith("torch is built for CUDA 12.8: the driver is too old for it")
+    assert "install a newer driver" in check.fix
+    assert driven((CARD,), "550.54", "12.4", "12.8")[0].state == "ok"
+
+
+def test_a_card_that_is_ready(
+    driven: Callable[..., list[doctor.Check]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its name, driver and CUDA, whether MPS is there, and how many runs each kind of card bears once that is known."""
+    monkeypatch.setenv("PATH", str(tmp_path))
+    found, bears = driven((CARD, CARD._replace(index=1)), "550.54", "12.4", "12.8")
+    assert found.state == "ok"
+    assert found.found == (
+        "cuda:0 (NVIDIA A, 80 GiB), cuda:1 (NVIDIA A, 80 GiB); driver 550.54, which speaks CUDA 12.4; torch is built "
+        "for CUDA 12.8; NVIDIA's MPS is not installed"
+    )
+    assert (bears.state, bears.fix) == ("note", "rrmctl doctor --tune")
+    card_rates.keep(CARD, card_rates.Rates({1: 300.0, 2: 590.0, 4: 1000.0, 8: 1050.0}, 2**30))
+    _, bears = driven((CARD,), "550.54", "12.4", "12.8")
+    assert (bears.state, bears.found) == (
+        "ok", "NVIDIA A: 4 runs at a time (1: 300, 2: 590, 4: 1,000, 8: 1,050 steps/s together; 1.0 GiB each)"
+    )  # fmt: skip

@@ -57,6 +57,7 @@ class Sweep:
     cells: dict[tuple[str, str, int], str] = field(default_factory=dict)
     versions: dict[tuple[str, str, int], int] = field(default_factory=dict)  #: of the configuration; 2 otherwise
     precisions: dict[tuple[str, str, int], str] = field(default_factory=dict)  #: float32 otherwise
+    devices: dict[tuple[str, str, int], str] = field(default_factory=dict)  #: none is recorded otherwise, as once
     recorded: dict[tuple[str, str, int], dict[str, object]] = field(default_factory=dict)  #: instead of `RECORDED`
 
     def jobs(self) -> pd.DataFrame:
@@ -119,6 +120,7 @@ class Sweep:
             key = (job["task"], job["method"], job["seed"])
             told |= {"id": folder.id, "config_version": self.versions.get(key, 2), "threads": 1}
             told["precision"] = self.precisions.get(key, "float32")
+            told |= {"device": self.devices[key]} if key in self.devices else {}
             if self.recorded.get(key, RECORDED):
                 write_json(folder.provenance, {"schema_version": 1, "resumed": [], **self.recorded.get(key, RECORDED)})
             write_json(folder.config, told | {"evaluation": {"success": "any", "deterministic": True}})

@@ -153,6 +153,27 @@ def test_a_methods_precision_is_its_own_but_one(tmp_path):
         shown(tmp_path / "seeds")
 
 
+def test_a_methods_device_is_its_own_but_one(tmp_path):
+    """Likewise; what was configured before there was a choice is on the processor."""
+    Sweep(devices=dict.fromkeys(SEEDS, "cpu")).write(tmp_path / "alike")
+    (section,) = read_sections(tmp_path / "alike")
+    assert (section.mixed, section.remarks) == ((), ())
+    Sweep(devices=dict.fromkeys(SEEDS, "cuda")).write(tmp_path / "methods")
+    (section,) = read_sections(tmp_path / "methods")
+    assert section.remarks == ("Methods differ in device: cpu: oracle, rrm-proxy; cuda: pebble.",)
+    Sweep(devices={SEEDS[0]: "cuda"}).write(tmp_path / "seeds")
+    with pytest.raises(UserError, match=r"device of pebble is cpu in 4 runs .*cuda in 1 run"):
+        shown(tmp_path / "seeds")
+
+
+def test_a_method_is_trained_on_one_kind_of_card(tmp_path):
+    """Where cards are recorded they are compared."""
+    cards = {key: changed(card=f"NVIDIA {'A' if key[2] else 'B'}") for key in SEEDS}
+    Sweep(devices=dict.fromkeys(SEEDS, "cuda"), recorded=cards).write(tmp_path)
+    with pytest.raises(UserError, match=r"card of pebble is NVIDIA A in 4 runs .*NVIDIA B in 1 run"):
+        shown(tmp_path)
+
+
 def test_environments_differ_by_task(tmp_path):
     """Two tasks have two true rewards and two simulators, and may stand in one table."""
     toy = changed(fingerprint={"true_reward": "bbbb"})

@@ -2,7 +2,8 @@
 
 What a run does is said in the environment variable STANDIN: a JSON object from seed (as text) to behaviour, with
 "other" for seeds it does not name. It happens five steps after half the run, between two checkpoints; "gate" means
-to wait there for a file `go` in the results root. STANDIN_HOST names the machine that it lives on, see `live_on`.
+to wait there for a file `go` in the results root. STANDIN_TELL names variables that a run notes before it begins;
+STANDIN_HOST the machine that it lives on, see `live_on`.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from pathlib import Path
 from typing import Any
 
@@ -51,17 +52,19 @@ if "STANDIN_HOST" in os.environ:
     live_on(os.environ["STANDIN_HOST"])
 
 
-def config(seed: int, steps: int = 40, every: int = 10) -> RunConfig:
+def config(seed: int, steps: int = 40, every: int = 10, device: str = "cpu") -> RunConfig:
     return RunConfig(
-        task="toy-car", seed=seed, steps=steps, reward=RewardConfig(learner="true"),
+        task="toy-car", seed=seed, steps=steps, device=device, reward=RewardConfig(learner="true"),
         evaluation=EvaluationConfig(every=every), exploration=ExplorationConfig(seed_steps=0),
     )  # fmt: skip
 
 
-def prepare(root: Path, seeds: range, steps: int = 40, every: int = 10) -> tuple[Layout, list[Job]]:
+def prepare(
+    root: Path, seeds: range, steps: int = 40, every: int = 10, on_cards: Collection[int] = ()
+) -> tuple[Layout, list[Job]]:
     """A results folder in which a sweep over these seeds is recorded, and its jobs."""
     layout = Layout(root)
-    configs = [config(seed, steps, every) for seed in seeds]
+    configs = [config(seed, steps, every, "cuda" if seed in on_cards else "cpu") for seed in seeds]
     for each in configs:
         record_config(layout.run(each.identity), config_content(each))
     jobs = tuple(
@@ -88,6 +91,10 @@ def row(step: int, seed: int = 0, **changes: float) -> EvalRow:
     return EvalRow(**(values | changes))
 
 
+class OutOfMemoryError(RuntimeError):
+    """As torch calls its own."""
+
+
 class Trainer:
     """Counts steps and keeps the count in a checkpoint."""
 
@@ -104,6 +111,8 @@ class Trainer:
         checkpoint.parent.mkdir(exist_ok=True)
         step = int(checkpoint.read_text()) if checkpoint.exists() else 0
         monitor.note(f"from step {step}")
+        for name in os.environ.get("STANDIN_TELL", "").split():
+            monitor.note(f"{name}={os.environ.get(name)}")
         while step < config.steps:
             time.sleep(STEP_S)
             step += 1
@@ -152,6 +161,8 @@ def misbehave(behaviour: str, folder: Path, monitor: RunMonitor) -> None:
                 save(folder / "checkpoint" / "step", monitor.status.step - 1)
                 shutil.copytree(folder.parents[1] / "asked" / folder.name, folder, dirs_exist_ok=True)
             raise WaitingError("3 answers of its teacher")
+        case "card-full":
+            raise OutOfMemoryError("CUDA out of memory. Tried to allocate 2.00 GiB. Of the allocated memory 1 GiB is")
         case "refuse":
             raise PriorError("prior returned NaN at step 20")
         case "segfault":

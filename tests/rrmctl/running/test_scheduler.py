@@ -34,6 +34,20 @@ def test_no_more_jobs_run_than_there_are_slots() -> None:
     assert not scheduler.finished
 
 
+def test_places_on_cards_are_few() -> None:
+    """Those that need one wait for it while others overtake them; a place that becomes free is taken in order."""
+    scheduler = Scheduler("abcde", slots=4, on_cards="abc", places=1)
+    assert start_all(scheduler) == ["a", "d", "e"]
+    scheduler.end("d", DONE)
+    assert start_all(scheduler) == []
+    scheduler.end("a", failed(ErrorKind.CRASHED))
+    assert start_all(scheduler) == ["b"]
+    scheduler.end("b", DONE)
+    assert start_all(scheduler) == ["c"]
+    scheduler.end("c", STOPPED)
+    assert start_all(scheduler) == ["a"]
+
+
 def test_all_done_is_exit_0() -> None:
     """Nothing to do is done as well."""
     assert Scheduler((), slots=1).finished

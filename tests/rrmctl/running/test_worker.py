@@ -13,6 +13,7 @@ from typing import ClassVar
 
 import pytest
 
+from rrm import devices
 from rrm.config import ConfigSection, FeedbackConfig, ImitationConfig, RewardConfig
 from rrm.envs.tasks import TASKS, Task
 from rrm.training.kinds import JOBS, JobKind
@@ -27,7 +28,7 @@ from rrmctl.store.files import is_locked, try_lock
 from rrmctl.store.layout import Layout, RunFolder
 from rrmctl.store.provenance import record_config
 from rrmctl.store.status import ErrorKind, RunState, Status, read_status, write_status
-from tests.rrmctl.running.standin import Trainer, config, prepare
+from tests.rrmctl.running.standin import OutOfMemoryError, Trainer, config, prepare
 
 
 @pytest.fixture
@@ -69,6 +70,46 @@ def test_a_run_from_start_to_end(folder: RunFolder, capsys: pytest.CaptureFixtur
         "--- from step 0",
         "--- done at step 40",
     ]
+
+
+class Full(Trainer):
+    """Finds no memory on its card."""
+
+    error: ClassVar[Exception]
+
+    def perform(self, *_: object) -> bool:
+        raise self.error
+
+
+@pytest.mark.parametrize(
+    "error",
+    [
+        OutOfMemoryError("CUDA out of memory. Tried to allocate 2.00 GiB. Of the allocated memory 1 GiB is reserved."),
+        RuntimeError("CUDA error: out of memory\nCompile with `TORCH_USE_CUDA_DSA`"),
+        RuntimeError("CUDA error: CUBLAS_STATUS_ALLOC_FAILED when calling `cublasCreate(handle)`"),
+    ],
+)
+def test_a_card_without_memory_is_told_with_the_remedy(folder: RunFolder, error: Exception) -> None:
+    """It is no bug but a lack of memory, and another attempt may find some."""
+    Full.error = error
+    assert main([str(folder.path.parents[1]), folder.id], Full()) is WorkerExit.CRASHED
+    status = read_status(folder)
+    assert status.state is RunState.INTERRUPTED
+    assert status.error is not None
+    assert status.error.kind is ErrorKind.MEMORY
+    told = str(error).splitlines()[0].partition(" Of the")[0].rstrip(".")
+    remedy = "fewer runs to a card (--per-gpu), or a smaller agent.batch"
+    assert status.error.message == f"the card's memory is full ({told}): {remedy}"
+
+
+def test_a_run_on_a_card_where_there_is_none(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its own worker says what is missing, before it loads anything."""
+    monkeypatch.setattr(devices, "cuda_of_torch", lambda: None)
+    layout, (job,) = prepare(tmp_path, range(1), on_cards=range(1))
+    assert main([str(tmp_path), job.id]) is WorkerExit.REFUSED
+    error = read_status(layout.run(job.id)).error
+    assert error is not None
+    assert error.message.startswith("device: cuda cannot be used here: the torch that is installed is built without")
 
 
 def test_a_finished_run_is_left_alone(folder: RunFolder) -> None:

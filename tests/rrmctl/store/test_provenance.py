@@ -7,8 +7,10 @@ from pathlib import Path
 
 import pytest
 
+from rrm.devices import Card
 from rrm.hardware import usable_cores
 from rrm.tuning import OTHERWISE
+from rrmctl.store import provenance
 from rrmctl.store.files import DamagedError
 from rrmctl.store.layout import Layout, RunFolder
 from rrmctl.store.provenance import code_digest, collect, made_with, read_provenance, record
@@ -35,6 +37,19 @@ def test_the_first_attempt_is_recorded_whole(folder: RunFolder) -> None:
     assert told["versions"]["numpy"][0].isdigit()
     assert told["fingerprint"] == {"metaworld": "3.1.1", "reward": "abc"}
     assert told["argv"] == ["rrmctl", "run", "toy-car"]
+
+
+def test_a_run_on_a_card_names_it(folder: RunFolder, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Another card on resumption is a change; runs on the processor say nothing of cards."""
+    assert "card" not in now()
+
+    def on(card: str) -> dict[str, object]:
+        monkeypatch.setattr(provenance, "cards", lambda: (Card(0, card, 2**36),))
+        return collect(CONFIG | {"device": "cuda"}, {}, {OTHERWISE: "numpy"}, [], attempt=1)
+
+    assert record(folder, on("NVIDIA A")) == []
+    assert record(folder, on("NVIDIA B")) == ["card: NVIDIA A -> NVIDIA B"]
+    assert made_with(read_provenance(folder))["card"] == "NVIDIA A, then NVIDIA B"
 
 
 def test_resuming_over_the_same_changes_nothing(folder: RunFolder) -> None:

@@ -1,0 +1,49 @@
+"""`rrmctl doctor --tune`: measures what the graphics cards of this machine bear."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict
+
+import typer
+
+from rrm.hardware import usable_cores
+from rrmctl.cli.screen import tell
+from rrmctl.errors import UserError
+
+
+def tune(*, as_json: bool) -> None:
+    """Measure each kind of card here, say what was found and keep it for `run` and `plan`.
+
+    Raises ConfigError where there is none that can be used.
+    """
+    from rrm import devices
+    from rrmctl.planning import card_rates
+    from rrmctl.running.cards import names
+    from rrmctl.running.tune import Place, measure
+
+    devices.check_device(devices.CUDA)
+    cards = devices.cards()
+    kinds = {
+        (card.name, card.memory): name for card, name in reversed(list(zip(cards, names(len(cards)), strict=True)))
+    }
+    found = {}
+    for card in cards:
+        if (name := kinds.pop((card.name, card.memory), None)) is None:
+            continue  # one like it was measured
+        tell(f"{devices.in_words(card)}: runs train on it, more and more of them; some minutes", err=True)
+        rates = measure(
+            Place(card=name, memory=card.memory, cores=usable_cores()),
+            lambda count, rate: tell(f"  {count} at a time: {rate:,.0f} steps/s together", err=True),
+        )
+        try:
+            card_rates.keep(card, rates)
+        except OSError as error:
+            file = card_rates.place(card)
+            hint = "set XDG_CACHE_HOME to a folder that can be written"
+            raise UserError(f"{file}: {error.strerror}; found was {card_rates.in_words(rates)}", hint) from error
+        found[card.name] = asdict(rates) | {"best": rates.best}
+        if not as_json:
+            typer.echo(f"{card.name}: {card_rates.in_words(rates)}")
+    if as_json:
+        typer.echo(json.dumps(found, indent=2))
