@@ -25,10 +25,10 @@ say rates
 timeout "$(left)" "$python" -m benchmarks cards --json "$out/cards.json" 2>&1 || failed=1
 
 say a sweep that is killed and resumed, beside one that is not
-sweep=(quickstart --device "${DEVICE:-cuda}" --seeds 2)
+sweep=(quickstart --methods oracle,rrm-proxy --seeds 1 --set steps=6000 --device "${DEVICE:-cuda}")
 rrmctl run "${sweep[@]}" --results "$out/whole" --yes 2>&1 | tail -n 3
 rrmctl run "${sweep[@]}" --results "$out/killed" --yes >"$out/killed.log" 2>&1 &
-sleep "${KILL_AFTER:-15}"
+sleep "${KILL_AFTER:-12}"
 pkill -KILL -f "rrmctl[a-z._ ]*(run|worker).*$out/killed"
 wait
 rrmctl resume --results "$out/killed" 2>&1 | tail -n 3
