@@ -66,7 +66,9 @@ def main() -> None:
     lines: list[Line] = []
     for name in args.names or BENCHMARKS:
         print(f"{name} ...", file=sys.stderr, flush=True)
-        lines += importlib.import_module(f"benchmarks.{name}").lines()
+        for line in importlib.import_module(f"benchmarks.{name}").lines():
+            print(f"  {line.item}: {line.ours:.4g} {line.unit}", file=sys.stderr, flush=True)
+            lines.append(line)
     Console(width=None if sys.stdout.isatty() else 160).print(table(lines))
     if args.json:
         args.json.write_text(

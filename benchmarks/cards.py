@@ -11,15 +11,14 @@ import statistics
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import nullcontext
 from functools import partial
 from importlib.util import find_spec
+from typing import Self
 
 import numpy as np
 import torch
-from rrmctl.running.cards import REPEATABLE, names
-from rrmctl.running.mps import service
 
 from benchmarks.lines import Line
 from benchmarks.reward_learning import ROWS, SEGMENT, labelled, lived
@@ -36,13 +35,15 @@ from rrm.seeding import Streams
 from rrm.training.loop import Trainer
 from rrm.training.run_config import RunConfig
 from rrm.types import Batch
+from rrmctl.running.cards import REPEATABLE, names
 from rrmctl.running.local import worker_environment
+from rrmctl.running.mps import service
 
 DEVICE = "cuda"
 LABELS = 5_000
 _AT_ONCE = 50  # updates between two moments at which the card is waited for
-_LOOP_S = 5.0
-_WORKERS = {False: (4, 16), True: (4, 8, 16)}  # at a time, without MPS and with it
+_LOOP_S = 4.0
+_WORKERS = (4, 8, 16)  # at a time
 
 
 def lines() -> Iterator[Line]:
@@ -113,39 +114,59 @@ def _reward_learning() -> Iterator[Line]:
 
 def _loops() -> Iterator[Line]:
     """The oracle on button-press, one run and many of them."""
-    (alone, *_), memory = _together(1)
-    yield Line(
-        item="oracle loop on button-press, on a card", ours=alone, unit="/s", bound=900, note=f"{memory:.0f} MiB"
-    )
+    item = "oracle loop on button-press, on a card"
     for mps in (False, True) if shutil.which("nvidia-cuda-mps-control") else (False,):
-        with service(names(1)) if mps else nullcontext({}) as variables:
-            for workers in _WORKERS[mps]:
-                rates, _ = _together(workers, **variables)
-                yield Line(
-                    item=f"{workers} such loops together{', by MPS' if mps else ''}", ours=sum(rates), unit="/s",
-                    peers={"one": alone}, least_ratio=6 if mps and workers == 16 else None,
-                )  # fmt: skip
+        with service(names(1)) if mps else nullcontext({}) as variables, _Loops(max(_WORKERS), variables) as loops:
+            by = ", by MPS" if mps else ""
+            alone, memory = loops.together(1)
+            bound, note = None if mps else 900, f"{memory:.0f} MiB"
+            yield Line(item=f"{item}{by}", ours=alone, unit="/s", bound=bound, note=note)
+            for workers in _WORKERS:
+                least = 6 if mps and workers == max(_WORKERS) else None
+                rate, _ = loops.together(workers)
+                peers = {"one": alone}
+                yield Line(item=f"{workers} of them{by}", ours=rate, unit="/s", peers=peers, least_ratio=least)
 
 
-def _together(workers: int, **variables: str) -> tuple[list[float], float]:
-    """Steps a second of so many processes at a time, and MiB of the card that one reserves."""
-    environment = {**worker_environment(1), **REPEATABLE, **variables}
-    processes = [
-        subprocess.Popen(
-            [sys.executable, "-m", "benchmarks.cards", str(seed)],
-            env=environment, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
-        )
-        for seed in range(workers)
-    ]  # fmt: skip
-    for process in processes:
+class _Loops:
+    """Processes that are each ready to go on with a run of their own."""
+
+    def __init__(self, count: int, variables: Mapping[str, str]) -> None:
+        environment = {**worker_environment(1), **REPEATABLE, **variables}
+        self._processes = [
+            subprocess.Popen(
+                [sys.executable, "-m", "benchmarks.cards", str(seed)],
+                env=environment, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
+            )
+            for seed in range(count)
+        ]  # fmt: skip
+
+    def __enter__(self) -> Self:
+        for process in self._processes:
+            self._told(process)  # it is ready
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for process in self._processes:
+            process.communicate()
+
+    @staticmethod
+    def _told(process: subprocess.Popen[str]) -> list[float]:
         assert process.stdout is not None
-        process.stdout.readline()  # it is ready
-    told = [process.communicate("go\n")[0].split() for process in processes]
-    return [float(rate) for rate, _ in told], float(told[0][1])
+        return list(map(float, process.stdout.readline().split()))
+
+    def together(self, count: int) -> tuple[float, float]:
+        """Steps a second of so many of them at a time, and MiB of the card that one reserves."""
+        for process in self._processes[:count]:
+            assert process.stdin is not None
+            process.stdin.write("go\n")
+            process.stdin.flush()
+        told = [self._told(process) for process in self._processes[:count]]
+        return sum(rate for rate, _ in told), told[0][1]
 
 
 def _loop(seed: int) -> None:
-    """One process of `_together`."""
+    """One process of `_Loops`: as often as it is told to, so many seconds of a run."""
     torch.set_num_threads(1)
     config = RunConfig(
         task="button-press", seed=seed, steps=500_000, device=DEVICE, reward=RewardConfig(learner="true")
@@ -153,14 +174,14 @@ def _loop(seed: int) -> None:
     trainer = Trainer(config)
     while trainer.step < config.random_steps + 100:
         trainer.advance()
-    print("ready", flush=True)
-    sys.stdin.readline()
-    steps, begin = 0, time.perf_counter()
-    while time.perf_counter() < begin + _LOOP_S:
-        trainer.advance()
-        steps += 1
-    torch.cuda.synchronize()
-    print(steps / (time.perf_counter() - begin), torch.cuda.max_memory_reserved() / 2**20)
+    print(flush=True)
+    for _ in sys.stdin:
+        steps, begin = 0, time.perf_counter()
+        while time.perf_counter() < begin + _LOOP_S:
+            trainer.advance()
+            steps += 1
+        torch.cuda.synchronize()
+        print(steps / (time.perf_counter() - begin), torch.cuda.max_memory_reserved() / 2**20, flush=True)
     trainer.close()
 
 

@@ -18,7 +18,7 @@ say doctor
 rrmctl doctor 2>&1 | grep -iE "card|driver|rendering|cores"
 
 say the tests on a card
-timeout "$(left)" "$python" -m pytest -p no:cacheprovider -W ignore -n 8 tests/rrm/test_cuda.py 2>&1 | tail -n 40
+timeout "$(left)" "$python" -m pytest -p no:cacheprovider -W ignore -n 8 -rf --tb=short tests/rrm/test_cuda.py 2>&1 | tail -n 60
 [ "${PIPESTATUS[0]}" = 0 ] || failed=1
 
 say rates
@@ -26,12 +26,16 @@ timeout "$(left)" "$python" -m benchmarks cards --json "$out/cards.json" 2>&1 ||
 
 say a sweep that is killed and resumed, beside one that is not
 sweep=(quickstart --methods oracle,rrm-proxy --seeds 1 --set steps=6000 --device "${DEVICE:-cuda}")
-rrmctl run "${sweep[@]}" --results "$out/whole" --yes 2>&1 | tail -n 3
+rrmctl run "${sweep[@]}" --results "$out/whole" --yes >"$out/whole.log" 2>&1 &
+whole=$!
 rrmctl run "${sweep[@]}" --results "$out/killed" --yes >"$out/killed.log" 2>&1 &
+killed=$!
 sleep "${KILL_AFTER:-12}"
 pkill -KILL -f "rrmctl[a-z._ ]*(run|worker).*$out/killed"
-wait
+wait "$killed"
+rrmctl status --results "$out/killed" 2>&1 | tail -n 4
 rrmctl resume --results "$out/killed" 2>&1 | tail -n 3
+wait "$whole"
 "$python" - "$out/whole" "$out/killed" <<'PYTHON' || failed=1
 import sys
 from pathlib import Path

@@ -100,5 +100,5 @@ def _digest(experience: Experience, pair: Sequence[int] | Rows, length: int) -> 
     """Sixteen hex digits that stand for what both segments show, wherever they are stored."""
     both = experience.segments(torch.as_tensor(np.asarray(pair)), length)
     digest = hashlib.sha256(both.obs.cpu().numpy().tobytes())
-    digest.update(both.act.numpy().tobytes())
+    digest.update(both.act.cpu().numpy().tobytes())
     return digest.hexdigest()[:16]

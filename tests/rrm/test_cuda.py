@@ -24,6 +24,8 @@ from rrm.types import Batch, Obs, Segments
 from tests.rrm.agents.reference_sac import ReferenceSac
 from tests.rrm.buffers.test_experience import lived
 from tests.rrm.training.conftest import networks, recorder, tiny  # noqa: F401 (fixtures)
+from tests.rrm.training.test_imitation import METHODS as IMITATED
+from tests.rrm.training.test_imitation import expert, imitating, results  # noqa: F401
 from tests.rrm.training.test_jobs import METHODS, interrupted
 
 on_a_card = pytest.mark.skipif(bool(devices.missing()), reason=f"CUDA cannot be used here: {devices.missing()}")
@@ -108,6 +110,23 @@ def test_a_run_in_pieces_is_the_run(tiny, recorder, networks, tmp_path, method):
 
 @on_a_card
 @pytest.mark.slow
+@pytest.mark.parametrize("method", IMITATED)
+def test_imitation_in_pieces_is_imitation(imitating, results, recorder, networks, tmp_path, method):  # noqa: F811
+    """The discriminator, and g trained further."""
+    config = imitating(**IMITATED[method], device="cuda")
+    straight, together = recorder(), recorder()
+    assert train(config, tmp_path / "a", straight, results)
+    finished = False
+    while not finished:
+        piece = recorder(173)
+        finished = train(config, tmp_path / "b", piece, results)
+        together.rows |= piece.rows
+    assert straight.numbers() == together.numbers()
+    assert networks(tmp_path / "a") == networks(tmp_path / "b")
+
+
+@on_a_card
+@pytest.mark.slow
 @pytest.mark.parametrize("agent", [DrqConfig, DrmConfig])
 def test_agents_that_see_frames(tiny, recorder, networks, tmp_path, agent):  # noqa: F811
     """On the toy car's pictures, with a learned reward."""
@@ -126,6 +145,7 @@ def test_agents_that_see_frames(tiny, recorder, networks, tmp_path, agent):  # n
 
 @on_a_card
 def test_rewards_are_those_of_the_processor():
+    prepare("cuda", "float32")
     config = RewardConfig(hidden=32, layers=2)
     segments = Segments(torch.randn(8, 10, OBS), torch.rand(8, 10, ACT), torch.randn(8, 10))
     here = ResidualReward(config, OBS, ACT, torch.Generator().manual_seed(0))
