@@ -52,7 +52,7 @@ class Options:
                 whose = ", ".join(name for name, other in EXECUTORS.items() if field.name in other.options)
                 raise UserError(f"{word} means nothing with --executor {self.executor}", f"it is for {whose}")
         if self.gpus is not None:
-            _numbers(self.gpus) if self.local else _share(self.gpus)
+            (_numbers if self.local else _share)(self.gpus)
 
     @property
     def local(self) -> bool:
@@ -109,10 +109,8 @@ def _numbers(gpus: str) -> list[int]:
     """Numbers of cards, as typed."""
     words = [word.strip() for word in gpus.split(",")]
     if not all(word.isascii() and word.isdecimal() for word in words):
-        example = (
-            "with --executor local it lists cards by CUDA's numbers, e.g. 0,1; --per-gpu says how many runs share one"
-        )
-        raise UserError(f"--gpus is {gpus}, not a list of cards", example)
+        meant = "with --executor local it lists cards by CUDA's numbers, e.g. 0,1; --per-gpu N has N runs share each"
+        raise UserError(f"--gpus is {gpus}, not a list of cards", meant)
     return list(dict.fromkeys(map(int, words)))
 
 

@@ -219,9 +219,8 @@ def smaller(request: Request, plan: Plan) -> list[str]:
             other = replace(request, profile=name, seeds=f"{min(seeds)},").plan()
         except UserError:  # a profile that cannot hold the request is no advice
             continue
-        once = {
-            job: each or 0.0 for job, each in estimate_seconds(other, {}).items()
-        }  # what all seeds need is run once
+        costs = estimate_seconds(other, {})
+        once = {job: each or 0.0 for job, each in costs.items()}  # what all seeds need is run once
         seconds = sum(once.values()) + (len(seeds) - 1) * sum(once[job.id] for job in other.jobs)
         if seconds < bound / 2:  # a profile that saves little is no advice
             lines.append(f"--profile {name}: about {duration(seconds / 3600)} of one core; {scale.about}")

@@ -24,9 +24,9 @@ def tune(*, as_json: bool) -> None:
 
     devices.check_device(devices.CUDA)
     cards = devices.cards()
-    kinds = {
-        (card.name, card.memory): name for card, name in reversed(list(zip(cards, names(len(cards)), strict=True)))
-    }
+    kinds: dict[tuple[str, int], str] = {}  # the first card of each, as CUDA_VISIBLE_DEVICES calls it
+    for card, name in zip(cards, names(len(cards)), strict=True):
+        kinds.setdefault((card.name, card.memory), name)
     found = {}
     for card in cards:
         if (name := kinds.pop((card.name, card.memory), None)) is None:

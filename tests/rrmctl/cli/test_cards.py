@@ -246,6 +246,7 @@ def driven(monkeypatch: pytest.MonkeyPatch) -> list[Driven]:
     return pools
 
 
+@pytest.mark.slow
 def test_the_pool_of_a_sweep_on_cards(tmp_path: Path, there: Callable[..., list[Card]], driven: list[Driven]) -> None:
     """All its runs need a place on one of the cards that are named; resumed, on any."""
     there("NVIDIA A", "NVIDIA B")

@@ -199,6 +199,17 @@ def test_settings_are_common_or_differ(results):
     assert run_facts.differing_settings(runs[:1]).empty
 
 
+def test_what_was_configured_before_there_was_a_choice(results):
+    """A run without a device is on the processor; where no run has one, nothing is said of it."""
+    runs = Snapshot(results).runs()
+    assert "device" not in dict(run_facts.common_settings(runs).itertuples(index=False))
+    on = {"oracle": {"device": "cpu"}, "pebble": {"device": "cuda"}, "rrm-proxy": {}}
+    for run in runs:
+        write_json(Layout(results).run(run.id).config, run.config | on[run.plan["method"]])
+    differing = run_facts.differing_settings(Snapshot(results).runs()).set_index("method")
+    assert dict(differing["device"]) == {"oracle": '"cpu"', "pebble": '"cuda"', "rrm-proxy": '"cpu"'}
+
+
 def test_machines_and_versions_are_told_apart():
     """Runs that were started with the same are one column, and every run is counted."""
     runs = [run for run in Snapshot(REFERENCE).runs() if run.plan["experiment"] == "precision"]
