@@ -66,7 +66,8 @@ def with_uniform(log_prob: Tensor, share: float, actions: int) -> Tensor:
     with density exp(`log_prob`) otherwise: bounded below, however little the latter thinks of an action.
     """
     by_policy, by_chance = torch.tensor([1 - share, share]).log().tolist()
-    return torch.logaddexp(log_prob + by_policy, torch.tensor(by_chance - actions * math.log(2)))
+    uniform = torch.tensor(by_chance - actions * math.log(2), device=log_prob.device)
+    return torch.logaddexp(log_prob + by_policy, uniform)
 
 
 def squashed_gaussian_log_prob(noise: Array, log_std: Array, pre_tanh: Array, xp: Any = torch) -> Array:

@@ -196,7 +196,9 @@ def graphics() -> Iterator[Check]:
     service = "there (--mps)" if shutil.which("nvidia-cuda-mps-control") else "not installed"
     yield Check("cards", "ok", f"{found}; NVIDIA's MPS is {service}")
     for card in {(card.name, card.memory): card for card in here}.values():
-        rates = card_rates.read(card)
+        rates, by_mps = (card_rates.read(card, mps=mps) for mps in (False, True))
+        if by_mps is not None:
+            yield Check("runs on a card", "ok", f"{card.name}, with --mps: {card_rates.in_words(by_mps)}")
         if rates is None:
             unknown = f"{card.name}: nobody has measured how many it bears: one at a time, and plans know no times"
             yield Check("runs on a card", "note", unknown, "rrmctl doctor --tune")

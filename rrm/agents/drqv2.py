@@ -16,9 +16,9 @@ from torch import Tensor
 
 from rrm.agents.checks import finite_action, finite_figures, restore, saved
 from rrm.nets.adam import FlatAdam
-from rrm.nets.captured import to
 from rrm.nets.encoder import Encoder, Pass
 from rrm.nets.tower import Tower, product, project
+from rrm.transfers import to
 
 if TYPE_CHECKING:
     from rrm.config import DrqConfig

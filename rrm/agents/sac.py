@@ -20,8 +20,9 @@ from torch import Tensor
 from rrm.agents.checks import finite_action, finite_figures, restore, saved
 from rrm.losses import squashed_gaussian_log_prob
 from rrm.nets.adam import FlatAdam
-from rrm.nets.captured import Captured, pinned
+from rrm.nets.captured import Captured
 from rrm.nets.mlp import Memory, Pass, StackedMLP
+from rrm.transfers import pinned
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence

@@ -25,7 +25,7 @@ from rrm.buffers.frames import Frames
 from rrm.buffers.table import Table
 from rrm.checkpoint import KEPT, AppendLog
 from rrm.devices import CPU, kind_of
-from rrm.nets.captured import to
+from rrm.transfers import to
 from rrm.types import Batch, Segments, Transition
 
 if TYPE_CHECKING:

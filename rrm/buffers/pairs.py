@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from rrm.buffers.experience import Experience
-from rrm.nets.captured import to
+from rrm.transfers import to
 from rrm.types import Segments, State
 
 FIRST, SECOND, EQUAL, SKIPPED = 0.0, 1.0, 0.5, float("nan")  #: a teacher's answers

@@ -20,9 +20,9 @@ from rrm.config import ImitationConfig
 from rrm.devices import CPU
 from rrm.errors import NumericalError
 from rrm.nets.adam import FlatAdam
-from rrm.nets.captured import to
 from rrm.nets.mlp import StackedMLP
 from rrm.precision import Precision
+from rrm.transfers import to
 from rrm.types import Batch, State
 
 if TYPE_CHECKING:

@@ -44,18 +44,6 @@ def prepare(device: str, precision: Precision) -> None:
     torch.backends.cudnn.allow_tf32 = precision == "tf32"
 
 
-def pinned(device: torch.device | str, *shape: int) -> Tensor:
-    """Float32 memory of the host, which a card reads and writes by itself where that is what `device` is."""
-    return torch.zeros(*shape, pin_memory=torch.device(device).type == CUDA)
-
-
-def to(device: torch.device | str, values: Tensor) -> Tensor:
-    """The values on a device. What comes from the host is on its way: nobody waits."""
-    if values.device.type != "cpu" or torch.device(device).type != CUDA:
-        return values.to(device)
-    return values.pin_memory().to(device, non_blocking=True)
-
-
 class Captured(Generic[_T]):
     """A function, recorded the first time it is called on a card and played from then on; elsewhere it is called.
 

@@ -8,8 +8,8 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
-from rrm.nets.captured import to
 from rrm.nets.compiled import move
+from rrm.transfers import to
 
 Moves = npt.NDArray[np.int64]
 

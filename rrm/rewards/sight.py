@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import torch
 from torch import Tensor
 
-from rrm.nets.captured import to
+from rrm.transfers import to
 
 if TYPE_CHECKING:
     from rrm.buffers.experience import Experience

@@ -19,8 +19,8 @@ from torch import Tensor
 from rrm.config import RewardConfig
 from rrm.interfaces import Feedback, RewardFunction
 from rrm.losses import preference_loss, pseudo_label_loss, window_sums
-from rrm.nets.captured import to
 from rrm.rewards.pebble import Pebble, learned, told_right
+from rrm.transfers import to
 from rrm.types import Segments, State
 
 

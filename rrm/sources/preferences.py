@@ -12,10 +12,10 @@ import numpy as np
 import torch
 
 from rrm.buffers.pairs import PairRing, Preferences, StoredFeedback
-from rrm.nets.captured import to
 from rrm.queries import select, uniform_pairs
 from rrm.sources.base import RewardSource
 from rrm.teachers.journal import Journal
+from rrm.transfers import to
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

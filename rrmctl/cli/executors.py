@@ -99,7 +99,7 @@ class Options:
         share = max(1, usable_cores() // threads // max(1, len(numbers)))  # of the cores, for each card
         rooms: dict[str, int] = {}
         for number in numbers:
-            rates = card_rates.read(here[number])
+            rates = card_rates.read(here[number], mps=self.mps)
             usual = min(rates.best, rates.fitting(here[number].memory), share) if rates else 1
             rooms[called[number]] = self.per_gpu or max(1, usual)
         return Cards(rooms)

@@ -152,6 +152,7 @@ def doctor(
         "--tune", help="Measure instead how many runs at a time each kind of graphics card here bears, in some "
         "minutes; `run` and `plan` go by it from then on.",
     )] = False,
+    mps: Annotated[bool, typer.Option("--mps", help="With --tune: runs that share a card by NVIDIA's MPS.")] = False,
 ) -> None:  # fmt: skip
     """Check this machine: versions, simulators, rendering, cores, arithmetic, cards, disk. Says what is missing and the
     fix.
@@ -165,7 +166,7 @@ def doctor(
     from rrmctl.doctor import examine
 
     if tune:
-        measure(as_json=as_json)
+        measure(as_json=as_json, mps=mps)
         return
     console = stdout_console(soft_wrap=True)
     checks = []

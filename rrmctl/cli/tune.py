@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 from dataclasses import asdict
 
@@ -12,14 +13,15 @@ from rrmctl.cli.screen import tell
 from rrmctl.errors import UserError
 
 
-def tune(*, as_json: bool) -> None:
-    """Measure each kind of card here, say what was found and keep it for `run` and `plan`.
+def tune(*, as_json: bool, mps: bool = False) -> None:
+    """Measure each kind of card here, with MPS or without it, say what was found and keep it for `run` and `plan`.
 
-    Raises ConfigError where there is none that can be used.
+    Raises ConfigError where there is none that can be used, UserError where there is no MPS.
     """
     from rrm import devices
     from rrmctl.planning import card_rates
     from rrmctl.running.cards import names
+    from rrmctl.running.mps import client_names, service
     from rrmctl.running.tune import Place, measure
 
     devices.check_device(devices.CUDA)
@@ -29,17 +31,21 @@ def tune(*, as_json: bool) -> None:
         kinds.setdefault((card.name, card.memory), name)
     found = {}
     for card in cards:
-        if (name := kinds.pop((card.name, card.memory), None)) is None:
+        if (measured := kinds.pop((card.name, card.memory), None)) is None:
             continue  # one like it was measured
         tell(f"{devices.in_words(card)}: runs train on it, more and more of them; some minutes", err=True)
-        rates = measure(
-            Place(card=name, memory=card.memory, cores=usable_cores()),
-            lambda count, rate: tell(f"  {count} at a time: {rate:,.0f} steps/s together", err=True),
-        )
+        called, variables = measured, dict[str, str]()
+        with contextlib.ExitStack() as served:
+            if mps:
+                (called,), variables = client_names([measured]), served.enter_context(service([measured]))
+            rates = measure(
+                Place(card=called, memory=card.memory, cores=usable_cores(), variables=variables),
+                lambda count, rate: tell(f"  {count} at a time: {rate:,.0f} steps/s together", err=True),
+            )
         try:
-            card_rates.keep(card, rates)
+            card_rates.keep(card, rates, mps=mps)
         except OSError as error:
-            file = card_rates.place(card)
+            file = card_rates.place(card, mps=mps)
             hint = "set XDG_CACHE_HOME to a folder that can be written"
             raise UserError(f"{file}: {error.strerror}; found was {card_rates.in_words(rates)}", hint) from error
         found[card.name] = asdict(rates) | {"best": rates.best}

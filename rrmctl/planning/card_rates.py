@@ -56,23 +56,26 @@ class Rates:
         return int(_FILLED * memory / self.run_bytes)
 
 
-def place(card: Card) -> Path:
-    """The file where the figures of a card are kept, or would be."""
-    facts = (card.name, card.memory, cpu_model(), version("torch"))
+def place(card: Card, *, mps: bool = False) -> Path:
+    """The file where the figures of a card are kept, or would be.
+
+    Args: mps: of runs that NVIDIA's MPS has work at the same time; else they take turns.
+    """
+    facts = (card.name, card.memory, cpu_model(), version("torch"), *(("mps",) if mps else ()))
     return kept_in().with_name(f"card-{hashlib.sha256(repr(facts).encode()).hexdigest()[:16]}.json")
 
 
-def read(card: Card) -> Rates | None:
+def read(card: Card, *, mps: bool = False) -> Rates | None:
     """What is kept; None where nobody has measured, or it cannot be read."""
     with suppress(OSError, ValueError):
-        found = TypeAdapter(Rates).validate_json(files.read_bounded(place(card), 1 << 20))
+        found = TypeAdapter(Rates).validate_json(files.read_bounded(place(card, mps=mps), 1 << 20))
         return found if found.steps_per_s else None
     return None
 
 
-def keep(card: Card, rates: Rates) -> None:
+def keep(card: Card, rates: Rates, *, mps: bool = False) -> None:
     """Keep what was measured. Raises OSError."""
-    path = place(card)
+    path = place(card, mps=mps)
     files.make_folder(path.parent)
     files.write_atomically(path, json.dumps(asdict(rates), indent=1).encode())
 

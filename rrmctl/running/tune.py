@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import tempfile
 import time
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from rrm.devices import CPU, CUDA
@@ -35,6 +35,7 @@ class Place:
     card: str = "0"  #: its name in `CUDA_VISIBLE_DEVICES`
     memory: int  #: bytes, of the card
     cores: int  #: of the machine: a run keeps one busy
+    variables: Mapping[str, str] = field(default_factory=dict)  #: by which processes find the daemon of MPS
     warm_up: int = 600  #: steps of every run before it counts
     seconds: float = 8.0  #: that are measured, of every number of runs
 
@@ -70,7 +71,7 @@ def measure(place: Place, told: Callable[[int, float], None]) -> Rates:
 
 def _together(place: Place, count: int) -> tuple[float, int]:
     """Steps a second of so many runs together, and the memory that is in use then."""
-    cards = None if place.device == CPU else Cards({place.card: count})
+    cards = None if place.device == CPU else Cards({place.card: count}, place.variables)
     with tempfile.TemporaryDirectory(prefix="rrmctl-tune-") as folder:
         layout = Layout(Path(folder))
         executor = LocalExecutor(layout=layout, cards=cards)
@@ -109,6 +110,6 @@ def _used(place: Place) -> int:
     if place.device == CPU:
         return 0
     try:
-        return int(run_python(_USED, **{VISIBLE: place.card}))
+        return int(run_python(_USED, **{VISIBLE: place.card, **place.variables}))
     except RuntimeError as error:
         raise UserError(f"the card {place.card} cannot be used: {error}") from error

@@ -258,7 +258,7 @@ def test_a_card_that_is_ready(
 ) -> None:
     """Its name, driver and CUDA, whether MPS is there, and how many runs each kind of card bears once that is known."""
     monkeypatch.setenv("PATH", str(tmp_path))
-    found, bears = driven((CARD, CARD._replace(index=1)), "550.54", "12.4", "12.8")
+    found, bears = driven((CARD, CARD._replace(number=1)), "550.54", "12.4", "12.8")
     assert found.state == "ok"
     assert found.found == (
         "cuda:0 (NVIDIA A, 80 GiB), cuda:1 (NVIDIA A, 80 GiB); driver 550.54, which speaks CUDA 12.4; torch is built "

@@ -215,6 +215,25 @@ def test_tuning_measures_each_kind_of_card_once(
     assert json.loads(call("doctor", "--tune", "--json").stdout)["NVIDIA A"]["best"] == 4
 
 
+def test_tuning_with_mps_is_kept_by_itself(
+    there: Callable[..., list[Card]], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """What runs bear that share a card's work says nothing of those that take turns; `run --mps` goes by it."""
+    (card,), measured = there("NVIDIA A", cores=16), []
+    control = tmp_path / "bin" / "nvidia-cuda-mps-control"
+    control.parent.mkdir()
+    control.write_text("#!/bin/sh\n")
+    control.chmod(0o755)
+    monkeypatch.setenv("PATH", f"{control.parent}:{os.environ['PATH']}")
+    monkeypatch.setattr(tune, "measure", lambda place, _told: measured.append(place.variables) or RATES)
+    result = call("doctor", "--tune", "--mps")
+    assert result.exit_code == 0, result.output
+    assert set(measured[0]) == {"CUDA_MPS_PIPE_DIRECTORY", "CUDA_MPS_LOG_DIRECTORY"}
+    assert (card_rates.read(card, mps=True), card_rates.read(card)) == (RATES, None)
+    rooms = [sum(Options(executor="local", mps=mps).cards(1).rooms.values()) for mps in (False, True)]
+    assert rooms == [1, 4]
+
+
 def test_there_is_nothing_to_tune_without_a_card() -> None:
     """One message and 2."""
     result = call("doctor", "--tune")

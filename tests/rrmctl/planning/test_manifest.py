@@ -39,7 +39,7 @@ def refused(folder: Path, text: str) -> str:
 def test_a_precision_is_checked_by_itself(precision: str) -> None:
     """What "auto" means is settled later, where batch and hidden units are known."""
     assert Layer.read("here", {"precision": precision}).settings == {"precision": precision}
-    with pytest.raises(UserError, match="precision = 'float16': Input should be 'float32' or"):
+    with pytest.raises(UserError, match="precision = 'float16': Input should be 'float32', 'bfloat16' or 'tf32'"):
         Layer.read("here", {"precision": "float16"})
 
 

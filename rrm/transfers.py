@@ -1,0 +1,20 @@
+"""From the host to a graphics card and back, without waiting for it."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from rrm.devices import CUDA
+
+
+def pinned(device: torch.device | str, *shape: int) -> Tensor:
+    """Float32 memory of the host, which a card reads and writes by itself where that is what `device` is."""
+    return torch.zeros(*shape, pin_memory=torch.device(device).type == CUDA)
+
+
+def to(device: torch.device | str, values: Tensor) -> Tensor:
+    """The values on a device. What comes from the host is on its way: nobody waits."""
+    if values.device.type != "cpu" or torch.device(device).type != CUDA:
+        return values.to(device)
+    return values.pin_memory().to(device, non_blocking=True)
