@@ -102,6 +102,7 @@ def test_an_update_from_frames_is_timed(monkeypatch: pytest.MonkeyPatch) -> None
 @pytest.mark.slow
 @pytest.mark.sim
 @pytest.mark.usefixtures("opengl")
+@pytest.mark.long
 def test_a_run_on_images_is_measured() -> None:
     """Every figure is there at a scale that says nothing, and its memory is that of a process of its own."""
     found = {line.item: line for line in images.lines(("smoke",), stored=300, budget=0.001, interval=1.0)}

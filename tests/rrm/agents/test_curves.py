@@ -51,6 +51,7 @@ def curve(monkeypatch: pytest.MonkeyPatch, agent: str) -> list[EvalRow]:
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_the_curve_is_the_textbooks(monkeypatch: pytest.MonkeyPatch) -> None:
     """For hundreds of updates the returns are equal but for rounding; what it grows to in 1,800 is a few percent."""
     ours = curve(monkeypatch, "rrm.agents.sac:Sac")

@@ -56,6 +56,7 @@ def test_what_varies_is_seen(recorder, tmp_path):
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_it_reaches_the_cube(recorder, tmp_path):
     """With the true reward, at the laptop's settings, nearly every episode ends at the cube after 10,000 steps."""
     rate = dict.fromkeys(("actor_lr", "critic_lr"), 1e-3)

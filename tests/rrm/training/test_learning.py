@@ -37,6 +37,7 @@ def test_it_reaches_the_goal(recorder, tmp_path, reward, steps):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("learner", ["pebble", "surf", "mrn"])
+@pytest.mark.long
 def test_preferences_alone_teach_the_true_order(recorder, tmp_path, learner):
     """The reward agrees with the true one on most fresh pairs, having started at chance."""
     monitor, mrn = recorder(), MrnConfig(every=1000)

@@ -146,6 +146,7 @@ def test_damage_and_its_way_out(folder: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("asked", ["status", "resume"])
+@pytest.mark.long
 def test_runs_whose_folder_was_removed(folder: Path, asked: str) -> None:
     """One command makes their configurations and trains them; methods of --prior and a manifest elsewhere included."""
     shutil.move(folder / "experiments" / "toy-car.toml", folder / "my car.toml".replace(" ", "-"))

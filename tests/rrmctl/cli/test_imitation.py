@@ -34,6 +34,7 @@ grid = { tasks = ["toy-car-image"], methods = ["rrm-imitation"] }
 
 @pytest.mark.slow
 @pytest.mark.parametrize("manifest", [None, SEEN], ids=["states", "pictures"])
+@pytest.mark.long
 def test_from_nothing_killed_and_resumed(tmp_path: Path, manifest: str | None) -> None:
     """SIGKILL at every stage of the chain; it ends as undisturbed, bit for bit, each need met once for two seeds."""
     asked = TOY
@@ -74,6 +75,7 @@ def test_from_nothing_killed_and_resumed(tmp_path: Path, manifest: str | None) -
 
 @pytest.mark.slow
 @pytest.mark.sim
+@pytest.mark.long
 def test_the_chain_on_meta_world(tmp_path: Path) -> None:
     """The experiment's own oracle is the expert; both methods on the prior share it."""
     sweep = ["main-results", "--experiments", str(EXPERIMENTS), "--profile", "smoke", "--tasks", "button-press"]
@@ -111,6 +113,7 @@ def test_what_needs_a_failed_run_is_blocked(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_an_expert_whose_networks_were_changed_is_made_again(tmp_path: Path) -> None:
     """What needs it refuses it and says how; that way leads to the end."""
     expert = ["toy-car", "--experiments", str(EXPERIMENTS), "--profile", "smoke", "--methods", "oracle", "--seeds", "1"]

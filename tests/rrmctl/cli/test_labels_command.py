@@ -178,6 +178,7 @@ def networks(root: Path, experiment: str = "toy-car") -> list[bytes]:
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_a_study_through_kills_and_ctrl_c_and_in_another_folder(tmp_path: Path) -> None:
     """Curves and networks are the scripted teacher's, whoever dies; and those of imported and replayed answers."""
     sweep = [*PLAN, "--seeds", "1", "--methods", "pebble", "--workers", "1"]

@@ -20,6 +20,7 @@ EXPERIMENTS = Path(__file__).parents[3] / "experiments"
     ("name", "tasks", "figure"),
     [("surf", "button-press,sweep-into", "pseudo_labelled"), ("mrn", "door-open,button-press", "meta_gradient")],
 )
+@pytest.mark.long
 def test_a_smoke_sweep(tmp_path: Path, name: str, tasks: str, figure: str) -> None:
     """Every run of the manifest ends, has learned from labels, and its curve has the learner's own figures."""
     arguments = ["run", name, "--experiments", str(EXPERIMENTS), "--profile", "smoke", "--seeds", "1"]

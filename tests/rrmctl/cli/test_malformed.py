@@ -35,7 +35,7 @@ from rrmctl.store.layout import RUN_ID, Layout
 EXPERIMENTS = Path(__file__).parents[3] / "experiments"
 
 #: A few for every day, thousands for `make test-slow`; the promises are the same.
-FEW_OR_MANY = pytest.mark.parametrize("examples", [20, pytest.param(1000, marks=pytest.mark.slow)])
+FEW_OR_MANY = pytest.mark.parametrize("examples", [20, pytest.param(1000, marks=[pytest.mark.slow, pytest.mark.long])])
 UNHURRIED = {"suppress_health_check": [HealthCheck.too_slow, HealthCheck.filter_too_much]}
 
 

@@ -451,6 +451,7 @@ def test_no_room_for_a_checkpoint_is_said_and_overcome(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_a_full_disk_in_the_middle_of_a_write(tmp_path: Path) -> None:
     """A real file system of two megabytes: it says what to do, keeps what there was, and goes on given space."""
     quiet, small = tmp_path / "quiet", tmp_path / "small"

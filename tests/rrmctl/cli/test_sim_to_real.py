@@ -25,6 +25,7 @@ ASKED = [
 ]  # fmt: skip
 
 
+@pytest.mark.long
 def test_from_nothing_to_the_table_killed_and_resumed(tmp_path: Path) -> None:
     """Curves, kept networks and deployed episodes end as undisturbed, bit for bit, and nothing is done twice."""
     quiet, loud = Layout(tmp_path / "quiet"), Layout(tmp_path / "loud")

@@ -184,6 +184,7 @@ def test_the_rules_are_kept_as_they_were(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_real_runs_interrupted_come_to_the_same_decisions(tmp_path: Path) -> None:
     """Trained on the toy car, stopped by Ctrl-C between two looks and called again: word for word the same."""
     sweep = ["run", *PLAN, "--methods", "oracle,pebble", "--set", "steps=450", "--workers", "2"]

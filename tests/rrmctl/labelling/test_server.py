@@ -304,6 +304,7 @@ def test_shared_and_repeated_pairs(tmp_path):
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_a_thousand_answers_by_four_people(tmp_path):
     """At once, with undone and skipped ones, while servers are killed: each question ends with one answer."""
     layout = make_study(tmp_path / "results", runs=10, queries=100)

@@ -63,6 +63,7 @@ def training(layout, asked, *options):
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_a_person_in_a_browser_teaches_like_the_scripted_teacher(tmp_path, open_page):  # noqa: F811
     """Curve and network are equal to the byte."""
     asked = sweep("toy-car", "--methods", "pebble")
@@ -79,6 +80,7 @@ def test_a_person_in_a_browser_teaches_like_the_scripted_teacher(tmp_path, open_
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_whoever_is_killed(tmp_path, open_page):  # noqa: F811
     """Server, renderer and workers die at random moments, the page stays open: each answer once, equal numbers."""
     asked, rng = sweep("toy-car", "--methods", "pebble,rrm-sparse"), random.Random(1)
@@ -114,6 +116,7 @@ def test_whoever_is_killed(tmp_path, open_page):  # noqa: F811
 
 @pytest.mark.slow
 @pytest.mark.sim
+@pytest.mark.long
 def test_window_open(tmp_path, open_page, opengl):  # noqa: F811
     """The paper's study at its smallest scale, of both methods."""
     scripted, layout = tmp_path / "scripted", Layout(tmp_path / "people")

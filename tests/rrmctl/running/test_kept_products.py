@@ -86,6 +86,7 @@ def test_a_way_that_is_gone_is_replaced_and_told(tmp_path: Path) -> None:
     assert made_with(read_provenance(folder))["products"] == "numpy, then torch"
 
 
+@pytest.mark.long
 def test_a_run_from_before_there_was_a_choice_goes_torch_s_way(tmp_path: Path) -> None:
     """As it did until then."""
     folder = prepared(tmp_path)

@@ -15,11 +15,13 @@ from tests.soak.storm import Storm
 pytestmark = pytest.mark.slow
 
 
+@pytest.mark.long
 def test_a_hundred_jobs_of_a_second(tmp_path: Path) -> None:
     """All are done, none twice. `make soak` begins with the same and prints what it cost."""
     Storm(tmp_path, jobs=100, steps=500).survive()
 
 
+@pytest.mark.long
 def test_readers_during_a_sweep_of_two_hundred_jobs(tmp_path: Path) -> None:
     """`status`, `report` and plain pandas, over and over: none ever sees an error."""
 
