@@ -21,7 +21,7 @@ test: install
 	$(PYTEST) -n auto -m "not slow and not cluster"
 
 test-slow: install browser
-	$(PYTEST) -n $$(( $$(getconf _NPROCESSORS_ONLN) * 3 / 2 )) -m "slow and not cluster $(LEFT_OUT)"  # many of them wait
+	$(PYTEST) -n $$(( $$(getconf _NPROCESSORS_ONLN) * 3 / 2 )) -m "slow and not cluster $(LEFT_OUT)" $(TESTS)  # many of them wait
 
 test-cluster: install
 	$(PYTEST) -n 2 --dist loadfile -m cluster tests/cluster
