@@ -56,18 +56,24 @@ def connected(address: str | None) -> Iterator[None]:
     own: dict[str, Any] = {"address": "local", "num_cpus": usable_cores(), "include_dashboard": False}
     if address:
         _reach(address)
-    before = signal.getsignal(signal.SIGTERM)
+    before, asked = signal.getsignal(signal.SIGTERM), False
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")  # it would tell its makers
     try:
-        ray.init(**({"address": address} if address else own), log_to_driver=False, logging_level=logging.ERROR)
+        try:
+            ray.init(**({"address": address} if address else own), log_to_driver=False, logging_level=logging.ERROR)
+        finally:
+            signal.signal(signal.SIGTERM, before)  # Ray's would end this process
+    except SystemExit:  # as it does, where SIGTERM came before ours was back
+        signal.signal(signal.SIGTERM, before)
+        asked = True
     except (ConnectionError, ValueError, RuntimeError, RayError) as error:
         reason = " ".join(str(error).split())
         where = f"the Ray cluster at {address}" if address else "Ray"
         hint = "has this machine begun to be a node of it, with this version, and RAY_AUTH_TOKEN where it wants one?"
         raise UserError(f"{where} cannot be used: {reason}", hint) from error
-    finally:
-        signal.signal(signal.SIGTERM, before)  # Ray's would end this process
     try:
+        if asked:
+            signal.raise_signal(signal.SIGTERM)
         with contextlib.redirect_stdout(sys.stderr):  # where Ray tells of nodes that it lost
             yield
     finally:

@@ -9,7 +9,7 @@ import dataclasses
 import os
 import subprocess
 import time
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -74,8 +74,14 @@ class RefusedError(SlurmError):
     """It did nothing of what it was asked."""
 
 
-def ask(*words: str) -> str:
-    """What a program of Slurm's prints. Raises SlurmError with its words where it fails."""
+#: What scancel says of tasks that ended before it came to them.
+_OVER = ("Invalid job id specified", "already completing or completed")
+
+
+def ask(*words: str, but: Sequence[str] = ()) -> str:
+    """What a program of Slurm's prints. Raises SlurmError with its words where it fails; lines with one of `but` are no
+    failure.
+    """
     try:
         done = subprocess.run(
             words, env=environment(), stdin=subprocess.DEVNULL, capture_output=True, text=True, errors="replace",
@@ -86,8 +92,10 @@ def ask(*words: str) -> str:
         raise RefusedError(f"there is no {words[0]} on this machine", hint) from None
     except subprocess.TimeoutExpired:
         raise SlurmError(f"{words[0]} gave no answer for {_PATIENCE_S:.0f} s", "try again later") from None
-    if done.returncode:
-        said = " ".join((done.stderr or done.stdout).split()) or f"it left with {done.returncode}"
+    complaints = (done.stderr or done.stdout).splitlines()
+    serious = [line for line in complaints if not any(words in line for words in but)]
+    if done.returncode and (serious or not complaints):
+        said = " ".join(" ".join(serious).split()) or f"it left with {done.returncode}"
         # One that was killed may have been heard.
         raise (RefusedError if done.returncode > 0 else SlurmError)(f"{words[0]} refused: {said}")
     return done.stdout
@@ -147,10 +155,10 @@ def lost(layout: Layout, suspects: Iterable[str], silence_s: float = SILENCE_S) 
 def cancel(tasks: Collection[Task]) -> None:
     """Take tasks that have no node yet out of the queue; those that got one meanwhile stay."""
     if tasks:
-        ask("scancel", "--state=PENDING", *sorted({task.id for task in tasks}))
+        ask("scancel", "--state=PENDING", *sorted({task.id for task in tasks}), but=_OVER)
 
 
 def interrupt(tasks: Collection[Task]) -> None:
     """Ask tasks that run to have their runs checkpointed and leave; they stay away."""
     if tasks:
-        ask("scancel", "--signal=INT", "--batch", *sorted({task.id for task in tasks}))
+        ask("scancel", "--signal=INT", "--batch", *sorted({task.id for task in tasks}), but=_OVER)

@@ -6,14 +6,16 @@ import dataclasses
 import os
 import signal
 import socket
+import sys
 import threading
 import time
 from pathlib import Path
 
 import pytest
+import ray
 
 from rrmctl.running.executor import Evaluated, Progress, Started, WorkOrder
-from rrmctl.running.ray_executor import RayExecutor, Seen, attempt
+from rrmctl.running.ray_executor import RayExecutor, Seen, attempt, connected
 from rrmctl.running.scheduler import Stage
 from rrmctl.store.provenance import read_config
 from rrmctl.store.records import write_json
@@ -44,6 +46,28 @@ def test_an_attempt_that_is_cancelled(tmp_path: Path, number: signal.Signals) ->
     assert outcome.ending is Stage.STOPPED
     assert read_status(layout.run(job.id)).state is RunState.INTERRUPTED
     assert (layout.run(job.id).checkpoint / "step").exists()
+
+
+def test_a_request_to_stop_while_ray_begins(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Ray's handler of SIGTERM leaves with 15; ours hears of it all the same."""
+    heard: list[int] = []
+
+    def init(**_options: object) -> None:
+        signal.signal(signal.SIGTERM, lambda number, _frame: sys.exit(number))
+        os.kill(os.getpid(), signal.SIGTERM)
+
+    def take(number: int, _frame: object) -> None:
+        heard.append(number)
+
+    monkeypatch.setattr(ray, "init", init)
+    monkeypatch.setattr(ray, "shutdown", lambda: None)
+    before = signal.signal(signal.SIGTERM, take)
+    try:
+        with connected(None):
+            assert heard == [signal.SIGTERM]
+        assert signal.getsignal(signal.SIGTERM) is take
+    finally:
+        signal.signal(signal.SIGTERM, before)
 
 
 def test_a_node_that_does_not_see_the_results(tmp_path: Path) -> None:

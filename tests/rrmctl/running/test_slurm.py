@@ -144,6 +144,16 @@ def test_programs_that_are_not_here_or_refuse(tmp_path: Path, monkeypatch: pytes
     assert not isinstance(caught.value, RefusedError)
 
 
+def test_what_is_over_is_no_refusal() -> None:
+    """A task may end before scancel comes to it; what else it says beside that counts."""
+    over = "echo 'scancel: error: Kill job error on job id 26_0: Invalid job id specified' >&2"
+    assert ask("sh", "-c", f"{over}; exit 1", but=["Invalid job id"]) == ""
+    with pytest.raises(SlurmError, match=r"sh refused: not yours$"):
+        ask("sh", "-c", f"{over}; echo not yours >&2; exit 1", but=["Invalid job id"])
+    with pytest.raises(SlurmError, match="left with 3"):
+        ask("sh", "-c", "exit 3", but=["Invalid job id"])
+
+
 def test_a_run_of_another_machine_that_is_silent_is_lost(tmp_path: Path) -> None:
     """Its last sign of life stands still; one that says something is not, nor one that holds its lock."""
     folder = Layout(tmp_path).run(A)
