@@ -34,7 +34,8 @@ class Stateful(Protocol):
 
 
 class Agent(Stateful, Protocol):
-    """An off-policy agent, made as `AGENTS[...](config, spaces, streams, precision=...)`.
+    """An off-policy agent, made as `AGENTS[...](config, spaces, streams, precision=...)`, with `device=...` where it is
+    to learn elsewhere than on the processor.
 
     It receives batches and knows neither environment nor buffer.
     """
