@@ -14,17 +14,34 @@ from tests.rrmctl.cli.test_run import PLAN, call
 
 pytestmark = pytest.mark.cluster
 
-SLOW = "import os, time\n\n\ndef slow(step):\n    time.sleep(float(os.environ.get('SLOW', '0')))\n    return 0.0\n"
+SLOW = """import os, time
+
+
+def slow(step):
+    if os.path.exists(os.environ.get('SLOW_WHILE', '')):
+        time.sleep(0.05)
+    return 0.0
+"""
 
 
 @pytest.fixture(scope="module")
 def slowly(tmp_path_factory: pytest.TempPathFactory) -> tuple[list[str], Path]:
-    """A sweep of three runs that take as long as SLOW says, in seconds a step; and its undisturbed twin's results."""
+    """A sweep whose runs are slow while the file SLOW_WHILE is there; and its undisturbed twin's results."""
     folder = tmp_path_factory.mktemp("slowly")
     (folder / "prior.py").write_text(SLOW)
-    sweep = [*PLAN, "--prior", f"{folder / 'prior.py'}:slow", "--methods", "rrm-slow", "--set", "steps=1500"]
+    settings = ["--methods", "rrm-slow", "--set", "steps=1500", "--set", "evaluation.every=100"]
+    sweep = [*PLAN, "--prior", f"{folder / 'prior.py'}:slow", *settings]
     assert call("run", *sweep, "--seeds", "3", "--results", folder / "twin").exit_code == 0
     return sweep, folder / "twin"
+
+
+@pytest.fixture
+def hold(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Runs are slow until this file is removed: however busy the machine, none ends before it was disturbed."""
+    held = tmp_path / "hold"
+    held.touch()
+    monkeypatch.setenv("SLOW_WHILE", str(held))
+    return held
 
 
 def log(root: Path, task: str) -> str:
@@ -45,11 +62,10 @@ def at_once(cluster: Slurm, *tasks: str) -> None:
 
 
 def test_preempted_requeued_and_cancelled(
-    cluster: Slurm, tmp_path: Path, slowly: tuple[list[str], Path], monkeypatch: pytest.MonkeyPatch
+    cluster: Slurm, tmp_path: Path, slowly: tuple[list[str], Path], hold: Path
 ) -> None:
     """What Slurm takes the node of goes on by itself; what its user cancels stays away until it is submitted again."""
     sweep, twin = slowly
-    monkeypatch.setenv("SLOW", "0.01")
     asked = ["run", *sweep, "--seeds", "3", "--executor", "slurm", "--results", tmp_path]
     job = call(*asked).stdout.split("as job ")[1].split(",")[0]
     until(lambda: trains(tmp_path, 3))
@@ -58,6 +74,7 @@ def test_preempted_requeued_and_cancelled(
     cluster.ask("scontrol", "requeue", f"{job}_1")
     cluster.ask("scancel", f"{job}_2")
     at_once(cluster, f"{job}_0", f"{job}_1")
+    hold.unlink()
     assert "queued again" in log(tmp_path, f"{job}_0")
     assert "checkpoints are written" in log(tmp_path, f"{job}_2")
     assert "queued again" not in log(tmp_path, f"{job}_2")
@@ -72,11 +89,10 @@ def test_preempted_requeued_and_cancelled(
 
 
 def test_a_node_that_is_lost_while_its_job_lives_on(
-    cluster: Slurm, tmp_path: Path, slowly: tuple[list[str], Path], monkeypatch: pytest.MonkeyPatch
+    cluster: Slurm, tmp_path: Path, slowly: tuple[list[str], Path], hold: Path
 ) -> None:
     """The job runs on two nodes then; the lease lets one of them train, and the other waits for it."""
     sweep, twin = slowly
-    monkeypatch.setenv("SLOW", "0.03")
     asked = ["run", *sweep, "--seeds", "1", "--executor", "slurm", "--results", tmp_path]
     job = call(*asked).stdout.split("as job ")[1].split(",")[0]
     until(lambda: trains(tmp_path, 1))
@@ -85,6 +101,7 @@ def test_a_node_that_is_lost_while_its_job_lives_on(
     try:
         at_once(cluster, f"{job}_0")
         until(lambda: "requeued 1 times" in log(tmp_path, f"{job}_0"))
+        hold.unlink()
         until(lambda: not cluster.queue())
     finally:
         cluster.start_node(node)
@@ -94,10 +111,9 @@ def test_a_node_that_is_lost_while_its_job_lives_on(
     same(tmp_path, twin)
 
 
-def test_stop(cluster: Slurm, tmp_path: Path, slowly: tuple[list[str], Path], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_stop(cluster: Slurm, tmp_path: Path, slowly: tuple[list[str], Path], hold: Path) -> None:
     """What is queued leaves the queue, what runs checkpoints and leaves, and both stay away."""
     sweep, twin = slowly
-    monkeypatch.setenv("SLOW", "0.1")  # a machine may be so busy that a command takes seconds
     call("run", *sweep, "--seeds", "2", "--executor", "slurm", "--at-once", "1", "--results", tmp_path)
     until(lambda: trains(tmp_path, 1))
     state = told(tmp_path)["slurm"]
@@ -107,7 +123,7 @@ def test_stop(cluster: Slurm, tmp_path: Path, slowly: tuple[list[str], Path], mo
     assert "this goes on: rrmctl resume toy-car --executor slurm" in stopped.stdout
     assert cluster.queue() == []
     assert told(tmp_path)["interrupted"] == 1
-    monkeypatch.setenv("SLOW", "0")
+    hold.unlink()
     assert call("resume", "--results", tmp_path).exit_code == 0
     same(tmp_path, twin)
     assert "Nothing of toy-car" in call("stop", "toy-car", "--results", tmp_path).stdout

@@ -37,7 +37,8 @@ def slowly(tmp_path_factory: pytest.TempPathFactory) -> tuple[list[str], Path]:
     folder = tmp_path_factory.mktemp("slowly")
     (folder / "prior.py").write_text(SLOW)
     (folder / "pause").write_text("0")
-    sweep = [*PLAN, "--prior", f"{folder / 'prior.py'}:slow", "--methods", "rrm-slow", "--set", "steps=1500"]
+    settings = ["--methods", "rrm-slow", "--set", "steps=1500", "--set", "evaluation.every=100"]
+    sweep = [*PLAN, "--prior", f"{folder / 'prior.py'}:slow", *settings]
     assert call("run", *sweep, "--seeds", "2", "--results", folder / "twin").exit_code == 0
     return ["run", *sweep, "--seeds", "2", "--executor", "ray"], folder
 
@@ -78,7 +79,7 @@ def test_a_sweep_of_several_levels(ray: Ray, tmp_path: Path) -> None:
 def test_kills(ray: Ray, tmp_path: Path, slowly: tuple[list[str], Path]) -> None:
     """Of a Ray worker and of a node, which the command survives; and of the command itself, which is given again."""
     sweep, folder = slowly
-    (folder / "pause").write_text("0.03")
+    (folder / "pause").write_text("0.08")
     first = start(*sweep, "--results", tmp_path)
     until(lambda: trains(tmp_path))
     os.kill(parent(tmp_path, Layout(tmp_path).run_ids()[0]), signal.SIGKILL)
@@ -103,7 +104,7 @@ def test_kills(ray: Ray, tmp_path: Path, slowly: tuple[list[str], Path]) -> None
 def test_stop(ray: Ray, tmp_path: Path, slowly: tuple[list[str], Path]) -> None:
     """Ctrl-C, and `rrmctl stop` from elsewhere: checkpoints, whatever has no node yet included; `resume` goes on."""
     sweep, folder = slowly
-    (folder / "pause").write_text("0.02")
+    (folder / "pause").write_text("0.08")
     for asked in ([*sweep, "--at-once", "1"], [*sweep, "--seeds", "3", "--address", ray.address]):
         program = start(*asked, "--results", tmp_path)
         until(lambda asked=asked: trains(tmp_path, 1 if "--at-once" in asked else 2))
