@@ -47,6 +47,7 @@ class Making:
     config: Mapping[str, Any]  #: its `config.json`
     facts: Mapping[str, str]  #: what decides its numbers beside the settings, by name; what is not recorded is left out
     code: str | None  #: digest of the library's sources; None where nothing was recorded
+    processor: str | None  #: its name; None where nothing was recorded
 
 
 class Made(NamedTuple):
@@ -71,7 +72,7 @@ def making(store: Snapshot, run: str) -> Making:
     for key in (key for key in recorded if key.startswith(_ENVIRONMENT)):
         name = key.removeprefix(_ENVIRONMENT)
         facts.setdefault(TRUE_REWARD if name == "true_reward" else name, recorded[key])
-    return Making(config, facts, recorded.get("code"))
+    return Making(config, facts, recorded.get("code"), recorded.get("cpu"))
 
 
 def mixture(section: Section, makings: Mapping[str, Making]) -> Mixture:
@@ -102,6 +103,13 @@ def remarks(section: Section, makings: Mapping[str, Making]) -> Iterator[str]:
     runs = {made.run: made for made in _runs(section)}
     if (states := len({makings[run].code for run in runs} - {None})) > 1:
         yield f"The runs were made by {states} states of the code (digests of its sources)."
+    processors: dict[str, list[Made]] = defaultdict(list)
+    for run, made in runs.items():
+        if (processor := makings[run].processor) is not None:
+            processors[processor].append(made)
+    if len(processors) > 1:
+        which = "; ".join(f"{name}: {_which(of_one)}" for name, of_one in sorted(processors.items()))
+        yield f"Processors differ and round in their own ways, so that a seed has another curve on each: {which}."
     if unknown := [made for run, made in runs.items() if makings[run].code is None]:
         yield f"Nothing was recorded of how these were made, and nothing could be compared: {_which(unknown)}."
     for fact in _OF_METHODS:

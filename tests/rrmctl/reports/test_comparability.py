@@ -52,13 +52,27 @@ def test_equal_making_is_no_matter(tmp_path):
     assert (section.mixed, section.remarks, section.problems) == ((), (), ())
 
 
-@pytest.mark.parametrize("facts", [{"cpu": "Another"}, {"products": {"otherwise": "numpy"}}], ids=["cpu", "products"])
-def test_what_only_rounds_otherwise_is_no_matter(tmp_path, facts):
-    """Another processor, and other libraries that multiply, also from an attempt on."""
-    resumed = [{"changes": {name: ["torch", "numpy"] for name in facts}}]
+def test_other_ways_of_products_are_no_matter(tmp_path):
+    """Other libraries that multiply, also from an attempt on, only round otherwise."""
+    facts = {"products": {"otherwise": "numpy"}}
+    resumed = [{"changes": {"products": ["torch", "numpy"]}}]
     Sweep(recorded={SEEDS[1]: changed(**facts), SEEDS[2]: changed(resumed=resumed)}).write(tmp_path)
     (section,) = read_sections(tmp_path)
     assert (section.mixed, section.remarks, section.problems) == ((), (), ())
+
+
+def test_other_processors_are_said(tmp_path):
+    """They round otherwise, too, but a reader who compares seed by seed must know; nothing is refused."""
+    resumed = changed(cpu="A", resumed=[{"changes": {"cpu": ["A", "B"]}}])
+    runs = dict.fromkeys([(TASK, method, seed) for method in RISING for seed in range(5)], changed(cpu="A"))
+    Sweep(recorded=runs | {SEEDS[1]: changed(cpu="B"), SEEDS[2]: resumed}).write(tmp_path)
+    (section,) = read_sections(tmp_path)
+    assert (section.mixed, section.problems) == ((), ())
+    (remark,) = section.remarks
+    assert "A: 13 runs (" in remark
+    assert f"A, then B: 1 run ({TASK} pebble" in remark
+    assert remark.endswith(")."), remark
+    assert f"; B: 1 run ({TASK} pebble" in remark
 
 
 def test_configuration_versions_do_not_meet(tmp_path):
