@@ -1,35 +1,97 @@
-"""The tests of shared folders on NFS itself: NFSv3 without locks and NFSv4.2, in a kernel of their own."""
+"""Shared folders on NFS itself, v3 without locks and v4.2: in one kernel, and between two machines and their server."""
 
 from __future__ import annotations
 
-import os
-import shutil
-import subprocess
+import contextlib
 import sys
+import time
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
-pytestmark = [pytest.mark.cluster, pytest.mark.slow]
+from tests.cluster import uml
+from tests.cluster.test_shared_folder import OWNER, RACER, RUN, SUCCESSOR
 
-NEEDED = ("linux.uml", "rpc.nfsd", "mount.nfs", "rpcbind", "modprobe")
+pytestmark = [pytest.mark.cluster, pytest.mark.slow, pytest.mark.skipif(bool(uml.missing()), reason=str(uml.missing()))]
+
+ROUNDS = 20
+WRITES = """write(); print("owns", flush=True)
+    while True: write(); time.sleep(0.05)
+"""
+SERVER, *MACHINES = ("10.7.0.1", "10.7.0.2", "10.7.0.3")
 
 
-@pytest.mark.skipif(os.geteuid() != 0, reason="only root may be root of that kernel")
-@pytest.mark.skipif(
-    any(shutil.which(name) is None for name in NEEDED),
-    reason="no NFS: apt-get install user-mode-linux nfs-kernel-server kmod",
-)
 def test_a_run_has_one_owner_on_nfs(tmp_path: Path) -> None:
-    """Races, frozen owners and living ones, on both."""
-    Path("/lib/modules").mkdir(exist_ok=True)  # where the kernel's are mounted
-    script, log = Path(__file__).with_name("nfs.sh"), tmp_path / "log"
-    words = f"/bin/bash {script} {Path(__file__).parents[2]} {sys.executable} {log}"
-    begin = tmp_path / "init"
-    begin.write_text(f"#!/bin/sh\nexec {words}\n")
-    begin.chmod(0o755)
-    kernel = ["linux.uml", "mem=1000M", "rootfstype=hostfs", "rw", f"init={begin}", "con=null", "con0=fd:0,fd:1"]
-    subprocess.run(kernel, stdin=subprocess.DEVNULL, capture_output=True, timeout=540, check=False)
-    said = log.read_text()
+    """Races, frozen owners and living ones, on both: everything that is tested of a shared folder."""
+    with uml.kernel(tmp_path, "both", "both", str(Path(__file__).parents[2]), sys.executable) as kernel:
+        kernel.wait()
+        said = kernel.log()
     assert "local_lock=all" in said
     assert {"v3 passed", "v4 passed"} <= set(said.splitlines()), said
+
+
+@pytest.fixture(scope="module")
+def machines(tmp_path_factory: pytest.TempPathFactory) -> Iterator[list[uml.Kernel]]:
+    """Two that have mounted a third's folder, and nothing else in common."""
+    folder = tmp_path_factory.mktemp("nfs")
+    for name, script in (("racer", RACER), ("owner", OWNER.format(WRITES)), ("successor", SUCCESSOR)):
+        (folder / f"{name}.py").write_text(script)
+    with contextlib.ExitStack() as stack:
+        network = stack.enter_context(uml.switch(folder))
+        server = stack.enter_context(uml.kernel(folder, "server", "server", SERVER, network=network))
+        assert server.said() == "ready"
+        clients = [
+            stack.enter_context(uml.kernel(folder, at, "client", at, SERVER, network=network)) for at in MACHINES
+        ]
+        for client in clients:
+            assert client.said() == "ready"
+            client.tell(f"cd {folder}")
+            assert client.said() == "exit 0"
+        yield clients
+
+
+def run(machine: uml.Kernel, script: str, *arguments: str) -> None:
+    machine.tell(f"{sys.executable} {script}.py {' '.join(arguments)}")
+
+
+@pytest.mark.parametrize("version", ["v3", "v4"])
+def test_of_two_machines_one_takes_the_run(machines: list[uml.Kernel], version: str) -> None:
+    """Every time, exactly one; and now the one, now the other."""
+    folder, owners = f"/mnt/{version}", set()
+    machines[0].tell(f"mkdir -p {folder}/runs/{RUN}")
+    assert machines[0].said() == "exit 0"
+    for machine, name in zip(machines, MACHINES, strict=True):
+        run(machine, "racer", folder, name)
+    for number in range(ROUNDS):
+        at = time.time() + 0.2
+        for machine in machines:
+            machine.tell(f"{RUN} free {at}")
+        took = [machine.said() for machine in machines]
+        assert took.count("1") == 1, number
+        owners.add(took.index("1"))
+        for machine in machines:
+            machine.tell("")
+        assert [machine.said() for machine in machines] == ["free"] * 2
+    assert owners == {0, 1}
+    for machine in machines:
+        machine.tell("end")
+        assert machine.said() == "exit 0"
+
+
+@pytest.mark.parametrize("version", ["v3", "v4"])
+def test_a_frozen_machine_wakes_and_writes_nothing(machines: list[uml.Kernel], version: str) -> None:
+    """Its run is left alone as long as it lives, and taken over after a lease of silence; what it wakes to is lost."""
+    folder, (one, two) = f"/mnt/{version}", machines
+    run(one, "owner", folder)
+    assert one.said() == "owns"
+    run(two, "successor", folder)
+    assert two.silent(6.0)  # for longer than its lease of a second
+    one.freeze()
+    try:
+        assert two.said() == "taken"
+    finally:
+        one.thaw()
+    assert one.said() == "exit 3"
+    two.tell("")
+    assert [two.said(), two.said()] == ["mine", "exit 0"]
