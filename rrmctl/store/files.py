@@ -33,6 +33,9 @@ _LEFT_S = 600.0
 #: Long enough for a lock that only readers hold, who have it for an instant; seconds.
 PATIENCE_S = 1.0
 
+#: A file that another machine replaces just then can be missing to who opens it, also to make it (FUSE, NFS): so often.
+_OPENINGS = 10
+
 #: How often one who waits looks whether a lock is free, seconds.
 _LOOK_S = 0.01
 
@@ -140,10 +143,14 @@ def set_aside(path: Path, suffix: str) -> Path:
 
 def open_lock(path: Path) -> int:
     """A descriptor of the file behind which a lock is, made where it is missing."""
-    try:
-        return os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o666)
-    except OSError as error:
-        raise storage_error(path, error) from error
+    tries = _OPENINGS
+    while True:
+        try:
+            return os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o666)
+        except OSError as error:
+            tries -= 1
+            if error.errno not in _GONE or tries == 0:
+                raise storage_error(path, error) from error
 
 
 def wait_for(descriptor: int, patience_s: float, waiting: Callable[[], None] = lambda: None) -> bool:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import resource
 import signal
@@ -13,7 +14,7 @@ from pathlib import Path
 
 import pytest
 
-from rrmctl.store.files import DamagedError, StorageError, is_locked, remove_leftovers, try_lock, write_bytes
+from rrmctl.store.files import DamagedError, StorageError, is_locked, open_lock, remove_leftovers, try_lock, write_bytes
 from rrmctl.store.records import read_json, write_json
 
 HOLD = "import sys, time; from rrmctl.store.files import try_lock; from pathlib import Path; " \
@@ -121,6 +122,23 @@ def test_a_lock_is_exclusive_and_freed_by_sigkill(tmp_path: Path) -> None:
         lock = try_lock(path)
         assert lock is not None
         os.close(lock)
+
+
+@pytest.mark.parametrize("problem", [errno.ENOENT, errno.ESTALE])
+def test_a_lock_that_is_replaced_as_it_is_opened(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, problem: int) -> None:
+    """FUSE and NFS say that it is not there, though it was to be made; one whose folder is gone is refused."""
+    really, problems = os.open, [problem] * 3
+
+    def sometimes(path: Path, *options: int) -> int:
+        if problems:
+            raise OSError(problems.pop(), "gone", str(path))
+        return really(path, *options)
+
+    monkeypatch.setattr(os, "open", sometimes)
+    os.close(open_lock(tmp_path / "lock"))
+    assert not problems
+    with pytest.raises(StorageError, match="No such file"):
+        open_lock(tmp_path / "missing" / "lock")
 
 
 def test_readers_that_look_do_not_stop_a_writer_from_locking(tmp_path: Path) -> None:
