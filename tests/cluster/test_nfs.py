@@ -65,7 +65,7 @@ def test_of_two_machines_one_takes_the_run(machines: list[uml.Kernel], version: 
         run(machine, "racer", folder, name)
     for number in range(ROUNDS):
         at = time.time() + 0.2
-        for machine in machines:
+        for machine in machines[:: (-1) ** number]:  # on a busy machine who is told first may have it
             machine.tell(f"{RUN} free {at}")
         took = [machine.said() for machine in machines]
         assert took.count("1") == 1, number

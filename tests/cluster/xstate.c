@@ -1,7 +1,7 @@
 /* Lets user-mode Linux 6.1 start on processors with AMX, preloaded into it.
  *
  * It keeps a process's vector registers in a buffer that is too small for those of AMX, which nobody uses there, and the
- * system takes nothing but all of them (Linux 6.14 knows better). What it gives is laid over what the process has.
+ * system takes nothing but all of them. What it gives is laid over what the process has.
  */
 #define _GNU_SOURCE
 #include <elf.h>
