@@ -52,7 +52,7 @@ class Kernel:
             )  # fmt: skip
         for descriptor in (hears, says):
             os.close(descriptor)
-        self._told, self._reads = os.fdopen(told, "w"), os.fdopen(reads)
+        self._told, self._reads = os.fdopen(told, "w"), os.fdopen(reads, "rb", buffering=0)
 
     def tell(self, line: str) -> None:
         """Write to its console."""
@@ -60,10 +60,9 @@ class Kernel:
         self._told.flush()
 
     def said(self) -> str:
-        """The next line of its console."""
-        line = self._reads.readline().strip()
-        if not line and _TOO_WIDE in self._said.read_text():
-            pytest.skip("user-mode Linux does not start on this processor without gcc: apt-get install gcc")
+        """The next line of its console; an AssertionError where none comes within two minutes."""
+        assert not self.silent(120.0), self.log()
+        line = self._reads.readline().decode().strip()
         assert line, self.log()
         return line
 
@@ -72,7 +71,9 @@ class Kernel:
         return not select.select([self._reads], [], [], seconds)[0]
 
     def log(self) -> str:
-        """What its programs printed; where none began, what it said itself."""
+        """What its programs printed; where none began, what it said itself. Skips where it cannot start."""
+        if _TOO_WIDE in self._said.read_text():
+            pytest.skip("user-mode Linux does not start on this processor without gcc: apt-get install gcc")
         return (self._log if self._log.exists() else self._said).read_text()
 
     def wait(self) -> None:
