@@ -24,7 +24,7 @@ test-slow: install browser
 	$(PYTEST) -n $$(( $$(getconf _NPROCESSORS_ONLN) * 3 / 2 )) -m "slow and not cluster $(LEFT_OUT)" $(TESTS)  # many of them wait
 
 test-cluster: install
-	$(PYTEST) -n 2 --dist loadfile -m cluster tests/cluster
+	$(PYTEST) -n 2 --dist loadfile -m "cluster $(LEFT_OUT)" tests/cluster
 
 # A headless Chromium from npm for the tests of pages; without one they are skipped.
 browser: install

@@ -55,7 +55,7 @@ def write_atomically(path: Path, data: bytes) -> None:
 
 def replace(path: Path, data: bytes, *, durably: bool = False) -> None:
     """Replace `path` by `data` as a whole for every reader; only `durably` does it survive the machine's crash."""
-    temporary = _beside(path)
+    temporary = beside(path)
     with naming(path):
         try:
             with temporary.open("xb") as file:
@@ -75,7 +75,7 @@ def create(path: Path, data: bytes) -> bool:
     """Make `path`, with `data` from its first moment on; False where it is there. Of many who try at once, on whatever
     machine, one does: no lock is needed for that. An `OSError` names `path`.
     """
-    temporary = _beside(path)
+    temporary = beside(path)
     with naming(path):
         try:
             temporary.write_bytes(data)
@@ -93,7 +93,7 @@ def create(path: Path, data: bytes) -> bool:
         return True
 
 
-def _beside(path: Path) -> Path:
+def beside(path: Path) -> Path:
     """A temporary file of this writer alone: processes of two machines or containers can have one number, and threads
     of one process do.
     """

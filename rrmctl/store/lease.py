@@ -29,7 +29,7 @@ import secrets
 import threading
 from collections.abc import Callable, Iterator
 
-from rrm.files import create, replace
+from rrm.files import beside, create, replace
 from rrmctl.store.files import StorageError, is_open_at, open_lock, storing, try_lock, wait_for
 from rrmctl.store.layout import RunFolder
 from rrmctl.store.owner import Beat, is_free, last_owner, read_beat
@@ -104,14 +104,28 @@ class Lease:
             number = last_owner(folder)
             if read_beat(folder, number) != stale:
                 return None  # it lives, or somebody else was quicker
-            token = _claim(folder, number + 1)  # where there is no space for it everything stays as it is
-            if token is None:
-                return None
-            folder.lock.unlink(missing_ok=True)
-            lock = try_lock(folder.lock)
-            return None if lock is None else cls(folder, number + 1, token, lock, waiting)
+            return cls._relocked(folder, number + 1, waiting)
         finally:
             os.close(guard)
+
+    @classmethod
+    def _relocked(cls, folder: RunFolder, number: int, waiting: Callable[[], None]) -> Lease | None:
+        """Claim a run whose lock is another's. The new one is held before it stands in the old one's place: somebody
+        who came between would have the lock of a run that is not theirs.
+        """
+        new = beside(folder.lock)
+        lock, lease = try_lock(new), None
+        try:
+            if lock is not None and (token := _claim(folder, number)):  # without space for it all stays as it is
+                with storing(folder.lock):
+                    new.replace(folder.lock)
+                lease = cls(folder, number, token, lock, waiting)
+        finally:
+            if lease is None:
+                new.unlink(missing_ok=True)
+                if lock is not None:
+                    os.close(lock)
+        return lease
 
     @contextlib.contextmanager
     def writing(self, *, brief: bool = False) -> Iterator[None]:

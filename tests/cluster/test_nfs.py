@@ -13,7 +13,12 @@ import pytest
 from tests.cluster import uml
 from tests.cluster.test_shared_folder import OWNER, RACER, RUN, SUCCESSOR
 
-pytestmark = [pytest.mark.cluster, pytest.mark.slow, pytest.mark.skipif(bool(uml.missing()), reason=str(uml.missing()))]
+pytestmark = [
+    pytest.mark.cluster,
+    pytest.mark.slow,
+    pytest.mark.long,
+    pytest.mark.skipif(bool(uml.missing()), reason=str(uml.missing())),
+]
 
 ROUNDS = 20
 WRITES = """write(); print("owns", flush=True)
@@ -57,23 +62,20 @@ def run(machine: uml.Kernel, script: str, *arguments: str) -> None:
 
 @pytest.mark.parametrize("version", ["v3", "v4"])
 def test_of_two_machines_one_takes_the_run(machines: list[uml.Kernel], version: str) -> None:
-    """Every time, exactly one; and now the one, now the other."""
-    folder, owners = f"/mnt/{version}", set()
+    """Every time, exactly one; and either, where it is alone."""
+    folder = f"/mnt/{version}"
     machines[0].tell(f"mkdir -p {folder}/runs/{RUN}")
     assert machines[0].said() == "exit 0"
     for machine, name in zip(machines, MACHINES, strict=True):
         run(machine, "racer", folder, name)
-    for number in range(ROUNDS):
+    for racing in [machines] * ROUNDS + [[machine] for machine in machines]:
         at = time.time() + 0.2
-        for machine in machines[:: (-1) ** number]:  # on a busy machine who is told first may have it
+        for machine in racing:
             machine.tell(f"{RUN} free {at}")
-        took = [machine.said() for machine in machines]
-        assert took.count("1") == 1, number
-        owners.add(took.index("1"))
-        for machine in machines:
+        assert [machine.said() for machine in racing].count("1") == 1
+        for machine in racing:
             machine.tell("")
-        assert [machine.said() for machine in machines] == ["free"] * 2
-    assert owners == {0, 1}
+        assert [machine.said() for machine in racing] == ["free"] * len(racing)
     for machine in machines:
         machine.tell("end")
         assert machine.said() == "exit 0"
@@ -86,7 +88,7 @@ def test_a_frozen_machine_wakes_and_writes_nothing(machines: list[uml.Kernel], v
     run(one, "owner", folder)
     assert one.said() == "owns"
     run(two, "successor", folder)
-    assert two.silent(6.0)  # for longer than its lease of a second
+    assert two.silent(6.0)  # for longer than its lease of two seconds
     one.freeze()
     try:
         assert two.said() == "taken"

@@ -368,6 +368,36 @@ def test_of_many_who_want_to_take_over_one_does(folder: RunFolder, owner: Lease)
         assert is_locked(folder.lock)
 
 
+def test_a_lock_that_is_put_in_place_is_held(folder: RunFolder) -> None:
+    """While a run goes from one owner that is stopped to the next, nobody else gets hold of its lock for a moment."""
+    script = """
+    import sys
+    from pathlib import Path
+    from rrmctl.store.files import try_lock
+    path = Path(sys.argv[1])
+    print(flush=True)
+    while try_lock(path) is None:
+        pass
+    print("held", flush=True)
+    """
+    leases = [Lease.take(folder)]
+    with subprocess.Popen(
+        [sys.executable, "-c", textwrap.dedent(script), str(folder.lock)], stdout=subprocess.PIPE, text=True
+    ) as rival:
+        try:
+            assert rival.stdout is not None
+            rival.stdout.readline()
+            for _ in range(200):
+                leases.append(Lease.take(folder, stale=beat_of(folder)))
+                assert None not in leases
+            assert rival.poll() is None
+        finally:
+            rival.kill()
+    for lease in leases:
+        assert lease is not None
+        lease.release()
+
+
 def test_a_lock_behind_another_name_is_no_lock(folder: RunFolder) -> None:
     """One who waits for a file that is replaced meanwhile gets the new one."""
     old = try_lock(folder.lock)
