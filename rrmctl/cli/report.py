@@ -96,13 +96,13 @@ def _table(entry: Entry) -> Callable[..., None]:
         ] = False,
     ) -> None:
         from rrmctl.reports.render import WIDE, print_terminal, to_text
-        from rrmctl.reports.select import of_profile, read_sections
+        from rrmctl.reports.select import sections_for
         from rrmctl.reports.statistics import Statistics, evaluations
 
         module = entry.load()
         settings = Statistics(kind=kind.value, last=evaluations(final), replicates=replicates, plus_minus=plus_minus)
-        sections = read_sections(results, name or module.EXPERIMENT, allow_mixed=allow_mixed)
-        reports = module.make(of_profile(sections, profile), settings)
+        experiments = [name] if name else module.EXPERIMENTS
+        reports = module.make(sections_for(results, experiments, profile, allow_mixed=allow_mixed), settings)
         if output is not None:
             _write(output, to_text(reports, form.value).encode())
         elif form is Format.TERMINAL:
@@ -194,14 +194,13 @@ def plot(
     """Draw the figures that suit an experiment as PNG, PDF and SVG and print their paths."""
     from rrmctl.planning.profiles import PAPER
     from rrmctl.reports.figure_layout import encode
-    from rrmctl.reports.select import of_profile, read_sections
+    from rrmctl.reports.select import sections_for
     from rrmctl.reports.statistics import Statistics, evaluations
 
     entries = figures()
     modules = {figure: choose(entries, figure, "figure").load() for figure in wanted or entries}
     settings = Statistics(kind=kind.value, last=evaluations(final), replicates=replicates, width=width.value)
-    sections = of_profile(read_sections(results, name, allow_mixed=allow_mixed), profile)
-    for section in sections:
+    for section in sections_for(results, [name], profile, allow_mixed=allow_mixed):
         where = f"{section.experiment}, profile {section.profile}"
         suiting = {figure: module for figure, module in modules.items() if module.suits(section)}
         if not section.contained:

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rrmctl.reports.plugins import choose
-from rrmctl.reports.select import of_profile, read_sections
+from rrmctl.reports.select import sections_for
 from rrmctl.reports.statistics import DEFAULTS, Statistics
 from rrmctl.reports.tables import kinds
 from rrmctl.store.frame import MAYBE_WHOLE, typed
@@ -37,8 +37,8 @@ def report_table(
     import pandas as pd
 
     module = choose(kinds(), kind, "table").load()
-    sections = read_sections(results, experiment or module.EXPERIMENT, allow_mixed=allow_mixed)
-    reports = module.make(of_profile(sections, profile), settings)
+    experiments = [experiment] if experiment else module.EXPERIMENTS
+    reports = module.make(sections_for(results, experiments, profile, allow_mixed=allow_mixed), settings)
     whose = ("experiment", "profile", "variant")
     tables = [report.table.assign(**{name: report.facts[name] for name in whose}) for report in reports]
     common = set.intersection(*(set(table.columns) for table in tables))

@@ -99,6 +99,16 @@ def of_profile(sections: Sequence[Section], profile: str | None) -> tuple[Sectio
     return tuple(chosen)
 
 
+def sections_for(
+    results: str | Path, experiments: Sequence[str], profile: str | None = None, *, allow_mixed: bool = False
+) -> tuple[Section, ...]:
+    """What a table or figure of these experiments is made of: `of_profile` of those that the store has, or of all of it
+    where it has none of several, or none is asked for. Others may hold runs that do not belong together.
+    """
+    found = read_sections(results, *(experiments if len(experiments) == 1 else ()), allow_mixed=allow_mixed)
+    return of_profile([section for section in found if section.experiment in experiments] or found, profile)
+
+
 def sections(
     rows: pd.DataFrame,
     jobs: pd.DataFrame | None = None,

@@ -3,7 +3,7 @@
 A module has
 
 - a docstring, which is the command's help,
-- `EXPERIMENT: str | None`, the experiment that is read where none is named; None reads all,
+- `EXPERIMENTS`, those that are read where none is named; an empty tuple reads all,
 - `EXPLAINED`, sentences that `rrmctl report explain` says; notes of a report are what is particular to it alone,
 - `COLUMNS`, what the table consists of, raw and in words,
 - `make(sections, settings) -> list[Report]`, the tables of these sections, or a `NoDataError` where there is none, and

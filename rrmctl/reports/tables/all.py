@@ -16,7 +16,7 @@ from rrmctl.reports.report import NoDataError, Report, facts, title
 from rrmctl.reports.series import Section
 from rrmctl.reports.statistics import Statistics
 
-EXPERIMENT = None
+EXPERIMENTS: tuple[str, ...] = ()
 EXPLAINED = ()
 OPTIONS = ("plus_minus",)
 

@@ -21,7 +21,7 @@ from rrmctl.reports.statistics import LEVEL, Statistics
 from rrmctl.reports.verdicts import judge
 from rrmctl.store.frame import MAYBE_WHOLE, TEXT
 
-EXPERIMENT = None
+EXPERIMENTS = tuple(dict.fromkeys(claim.experiment for claim in CLAIMS))
 EXPLAINED = (
     "Held: all comparisons of the claim have their whole interval on its side. Not held: one has all of it on the "
     f"other side, at a level of 1 - {1 - LEVEL:.2g} / the claim's comparisons. Shown: the comparison that decides.",
@@ -46,10 +46,9 @@ COLUMNS = (
 
 def make(sections: Sequence[Section], settings: Statistics) -> list[Report]:
     """A table for each profile and set of overrides of the experiments that the claims are about."""
-    experiments = list(dict.fromkeys(claim.experiment for claim in CLAIMS))
     variants: dict[tuple[str, str], list[Section]] = {}
     for section in sections:
-        if section.experiment in experiments:
+        if section.experiment in EXPERIMENTS:
             variant = (section.profile, repr(sorted(section.overrides.items())))
             variants.setdefault(variant, []).append(section)
     reports = []
@@ -62,7 +61,7 @@ def make(sections: Sequence[Section], settings: Statistics) -> list[Report]:
         notes += dict.fromkeys(note for section in alike for note in statistics_notes(section, settings))
         facts = merged_facts("claims", alike, settings)
         reports.append(Report(title(alike[0], "claims"), table, grid, tuple(notes), facts))
-    hint = f"its claims are about {', '.join(experiments)}"
+    hint = f"its claims are about {', '.join(EXPERIMENTS)}"
     return some(reports, sections, "the paper's prose claims nothing of it", hint)
 
 

@@ -17,7 +17,7 @@ from rrmctl.reports.series import Panel, Section, at_steps
 from rrmctl.reports.statistics import Statistics
 from rrmctl.stats import quartiles
 
-EXPERIMENT = None
+EXPERIMENTS: tuple[str, ...] = ()
 EXPLAINED = ("Step: the last evaluation that all methods of a task have.",)
 COLUMNS = (*PLACE, METHOD, SCORE, STEP, *estimated("iqm", "Final", best=True), *QUARTILES, *RUNS)
 

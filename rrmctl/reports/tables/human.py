@@ -25,7 +25,7 @@ from rrmctl.stats import Estimate
 from rrmctl.stats.agreement import alpha, apart, kappa, share, slope
 from rrmctl.store.frame import NUMBER, TEXT, WHOLE
 
-EXPERIMENT = None
+EXPERIMENTS: tuple[str, ...] = ()
 
 #: Answers of a sitting along which something is said to change.
 LONG = 20

@@ -16,9 +16,9 @@ from rrmctl.reports.series import Panel, Section
 from rrmctl.reports.statistics import Statistics
 from rrmctl.stats.curves import SHARE
 
-__all__ = ["COLUMNS", "EXPERIMENT", "EXPLAINED", "make"]
+__all__ = ["COLUMNS", "EXPERIMENTS", "EXPLAINED", "make"]
 
-EXPERIMENT = None
+EXPERIMENTS: tuple[str, ...] = ()
 EXPLAINED = (
     f"Step: where the methods of a task are compared. Success: the first evaluation at which {100 * SHARE:g} % of the "
     "seeds of a method but the oracle are at 100 %, which flatters all methods alike. Where there is none (marked *), "

@@ -21,7 +21,7 @@ from rrmctl.reports.statistics import Statistics
 from rrmctl.stats import Steps
 from rrmctl.store.frame import MAYBE_WHOLE, TEXT
 
-EXPERIMENT = "less-feedback"
+EXPERIMENTS = ("less-feedback",)
 
 #: Stands for the task in the rows of the mean over all of them.
 EVERY_TASK = "all tasks"

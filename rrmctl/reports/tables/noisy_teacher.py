@@ -34,7 +34,7 @@ from rrmctl.reports.statistics import Statistics
 from rrmctl.reports.tables.final import final_rows
 from rrmctl.store.frame import NUMBER, TEXT
 
-EXPERIMENT = "noisy-teacher"
+EXPERIMENTS = ("noisy-teacher",)
 OPTIONS = ("plus_minus",)
 
 #: What the paper calls a learner without a prior, and which those are.
@@ -75,7 +75,7 @@ def make(sections: Sequence[Section], settings: Statistics) -> list[Report]:
             steps = {_place(row, (_TASK, _TEACHER, _FEEDBACK), rows): row["step"] for row in rows}
             notes = [
                 f"Read at the last common step: {', '.join(f'{name} at {step:,}' for name, step in steps.items())}.",
-                f"Paper: {published.source(EXPERIMENT)}, at the paper's scale; ours is profile {section.profile}.",
+                f"Paper: {published.source(*EXPERIMENTS)}, at the paper's scale; ours is profile {section.profile}.",
             ]
             reports.append(section_report(section, settings, COLUMNS, rows, grid=grid, notes=notes))
     hint = "`rrmctl run noisy-teacher` makes them; `rrmctl report final` is the table for other experiments"

@@ -23,7 +23,7 @@ from rrmctl.reports.statistics import BOOTSTRAP_SEED, LEVEL, SURE, Statistics
 from rrmctl.stats import Iqm, difference, improvement, outlook
 from rrmctl.store.frame import MAYBE_WHOLE, NUMBER, TEXT, WHOLE
 
-EXPERIMENT = None
+EXPERIMENTS: tuple[str, ...] = ()
 EXPLAINED = (
     "Compared is each seed's mean score over training. Difference: interquartile mean of the method minus that of the "
     "other, seeds unpaired. P(better): a run of the method beats one of the other, ties by half. n: runs of both.",

@@ -35,7 +35,7 @@ from rrmctl.reports.series import SCORE_COLUMN, Section, Series, ending, finite
 from rrmctl.reports.statistics import SURE, Statistics
 from rrmctl.store.frame import MAYBE_WHOLE, NUMBER, TEXT
 
-EXPERIMENT = "sim-to-real"
+EXPERIMENTS = ("sim-to-real",)
 EXPLAINED = (
     "Simulated rig: another simulation than that of the training, with other masses, friction, motors and latency; two "
     "cameras see the cube. Sim: the last evaluation of the training up to that step.",
@@ -60,7 +60,7 @@ _ROUNDING = 1
 
 def make(sections: Sequence[Section], settings: Statistics) -> list[Report]:
     """A table for each section with runs of the arm's tasks."""
-    reports, source = [], f"Paper: {published.source(EXPERIMENT)}, on a physical robot"
+    reports, source = [], f"Paper: {published.source(*EXPERIMENTS)}, on a physical robot"
     for section in sections:
         if found := list(rows(section, settings)):
             notes = [f"{source}; ours is of a simulated rig, profile {section.profile}.", *remarks(section)]

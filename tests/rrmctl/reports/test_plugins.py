@@ -35,7 +35,7 @@ import pandas as pd
 from rrmctl.reports.columns import TextGrid
 from rrmctl.reports.report import Report, facts, title
 
-EXPERIMENT = None
+EXPERIMENTS = ()
 {options}
 
 
@@ -109,11 +109,11 @@ def test_a_name_with_an_underscore_in_front_is_no_command(copied):
 
 @pytest.mark.parametrize("name", sorted(kinds()))
 def test_every_kind_is_whole(name):
-    """Each table has words for its help, an experiment or None, and a function that makes it."""
+    """Each table has words for its help, experiments that there are, and a function that makes it."""
     entry = kinds()[name]
     module = entry.load()
     assert entry.help
-    assert isinstance(module.EXPERIMENT, str | None)
+    assert set(module.EXPERIMENTS) <= {path.stem for path in (Path(__file__).parents[3] / "experiments").glob("*.toml")}
     assert callable(module.make)
     assert tuple(getattr(module, "OPTIONS", ())) == entry.options
 

@@ -5,7 +5,7 @@ import pytest
 from rrm.errors import UnknownNameError
 from rrmctl.errors import UserError
 from rrmctl.labels import Label
-from rrmctl.reports.select import of_profile, read_sections, sections
+from rrmctl.reports.select import of_profile, read_sections, sections, sections_for
 from rrmctl.reports.series import at_steps
 from tests.rrmctl.reports.frames import FEEDBACK, RISING, SATURATED, Sweep
 
@@ -193,6 +193,16 @@ def test_unknown_experiments_and_profiles_suggest_the_nearest(tmp_path):
         read_sections(tmp_path, "main-result")
     with pytest.raises(UserError, match='did you mean "laptop"'):
         of_profile(read_sections(tmp_path), "laptp")
+
+
+def test_what_is_not_asked_for_is_in_nobodys_way(tmp_path):
+    """Runs that do not belong together refuse tables of themselves, and no table of others."""
+    Sweep().write(tmp_path)
+    Sweep(experiment="mine", variant="cccc", versions={("button-press", "pebble", 0): 1}).write(tmp_path)
+    assert [one.experiment for one in sections_for(tmp_path, ["main-results", "surf"])] == ["main-results"]
+    for asked in ((), ["mine"], ["surf", "mrn"]):
+        with pytest.raises(UserError, match=r"mine, profile .* do not belong in one report"):
+            sections_for(tmp_path, asked)
 
 
 def test_an_empty_store_says_what_to_run(tmp_path):
