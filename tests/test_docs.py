@@ -3,6 +3,7 @@
 import inspect
 import os
 import re
+import runpy
 import subprocess
 import sys
 from pathlib import Path
@@ -98,6 +99,17 @@ def test_the_readme_lists_the_experiments():
         told = re.sub(r"rrm-\{the same\}", lambda _: "rrm-{proxy, o2g, h2o, sparse, language}", methods)
         told = re.sub(r"([\w-]+-)\{(.*?)\}", lambda m: ", ".join(m[1] + n for n in m[2].split(", ")), told)
         assert set(told.split(", ")) == planned, name
+
+
+def test_the_tables_of_the_laptop_profile_are_those_of_its_runs(monkeypatch, capsys):
+    """Every row that the stored runs give stands on the page; a verdict may follow it."""
+    monkeypatch.setattr(sys, "argv", ["tables.py", str(ROOT / "results" / "reference")])
+    runpy.run_path(str(ROOT / "experiments" / "laptop" / "tables.py"), run_name="__main__")
+    rows = [line.removesuffix(" |") for line in capsys.readouterr().out.splitlines() if line.startswith("|")]
+    page = (ROOT / "docs" / "laptop.md").read_text().splitlines()
+    assert len(rows) > 10
+    for row in rows:
+        assert any(line.startswith(row) for line in page), row
 
 
 REPORTS = (ROOT / "docs" / "reports.md").read_text()
