@@ -94,6 +94,7 @@ class Captured(Generic[_T]):
         graph = torch.cuda.CUDAGraph()
         for generator in self._generators:
             graph.register_generator_state(generator)
-        with torch.cuda.graph(graph):
+        with torch.cuda.graph(graph, stream=beside):  # where torch sets back what the generators' draws begin from
             self._result = self._work()
+        here.wait_stream(beside)  # else that could come after the first replay has set it
         return graph

@@ -7,7 +7,7 @@ devices or precisions are not averaged or compared, unless a reader asks for it;
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -16,7 +16,7 @@ from rrmctl.commands import run_commands
 from rrmctl.errors import UserError
 from rrmctl.labels import Label, policy
 from rrmctl.planning.settings import CONFIG_VERSION
-from rrmctl.reports.series import Section
+from rrmctl.reports.series import Section, Series
 from rrmctl.store.layout import Layout
 from rrmctl.store.provenance import asked_by, made_with, version
 from rrmctl.store.snapshot import Snapshot
@@ -32,6 +32,9 @@ TRUE_REWARD = "true reward on fixed states"
 
 #: What belongs to a method, as its readers are told: it may differ between methods, and not within one.
 _OF_METHODS = (DEVICE, CARD, PRECISION)
+
+#: Said of a fact in which deployments differ, beside the same fact of what was trained.
+_DEPLOYED = " of the deployments"
 
 #: Packages that every run uses, and what each environment says of itself (its simulator among it), as recorded.
 _PACKAGES = {"versions.rrmctl": "rrmctl", "versions.torch": "torch"}
@@ -79,14 +82,16 @@ def mixture(section: Section, makings: Mapping[str, Making]) -> Mixture:
     """What differs among the runs of a section and must not.
 
     A method's device, its card and its precision are part of what the method is, so they are compared among the runs of
-    one method; the true reward among those of one task; everything else among all.
+    one method; the true reward among those of one task; everything else among all. What was deployed may have been
+    trained elsewhere: policies are compared with policies, deployments with deployments.
     """
     values: dict[str, dict[str, list[Made]]] = defaultdict(lambda: defaultdict(list))
-    for made in _runs(section):
-        for fact, value in makings[made.run].facts.items():
-            of_method = dict.fromkeys(_OF_METHODS, f" of {made.label.method}")
-            scope = {**of_method, TRUE_REWARD: f" of {made.label.task}"}.get(fact, "")
-            values[fact + scope][value].append(made)
+    for group, among in ((section.series, ""), (section.deployments, _DEPLOYED)):
+        for made in _runs(group):
+            for fact, value in makings[made.run].facts.items():
+                of_method = dict.fromkeys(_OF_METHODS, f" of {made.label.method}")
+                scope = {**of_method, TRUE_REWARD: f" of {made.label.task}"}.get(fact, among)
+                values[fact + scope][value].append(made)
     return {fact: dict(sorted(runs.items())) for fact, runs in values.items() if len(runs) > 1}
 
 
@@ -100,7 +105,7 @@ def told(mixed: Mixture) -> list[str]:
 
 def remarks(section: Section, makings: Mapping[str, Making]) -> Iterator[str]:
     """What may differ among the runs and is said all the same."""
-    runs = {made.run: made for made in _runs(section)}
+    runs = {made.run: made for made in _runs((*section.series, *section.deployments))}
     if (states := len({makings[run].code for run in runs} - {None})) > 1:
         yield f"The runs were made by {states} states of the code (digests of its sources)."
     processors: dict[str, list[Made]] = defaultdict(list)
@@ -120,18 +125,26 @@ def remarks(section: Section, makings: Mapping[str, Making]) -> Iterator[str]:
         if len(methods) > 1:
             which = "; ".join(f"{value}: {', '.join(names)}" for value, names in sorted(methods.items()))
             yield f"Methods differ in {fact}: {which}."
+    for name in (*_PACKAGES.values(), VERSION):
+        trained, deployed = (
+            {value for made in _runs(group) if (value := makings[made.run].facts.get(name)) is not None}
+            for group in (section.series, section.deployments)
+        )
+        if deployed - trained:
+            yield f"Policies were trained with {name} {_all(trained)} and deployed with {_all(deployed)}."
 
 
 def refuse(section: Section, mixed: Mixture, layout: Layout) -> UserError:
     """What to say where runs differ that should not: training anew those that this environment would make otherwise."""
-    now = {fact: str(CONFIG_VERSION) if fact == VERSION else version(fact) for fact in mixed}
+    named = {fact: fact.removesuffix(_DEPLOYED) for fact in mixed}
+    now = {fact: str(CONFIG_VERSION) if name == VERSION else version(name) for fact, name in named.items()}
     stale = {
         fact: [made for value, runs in values.items() if value != now[fact] for made in runs]
         for fact, values in mixed.items()
         if now[fact] is not None  # else only a run can tell
     }
     anew = [made for runs in stale.values() for made in runs]
-    older = not set(stale) - {VERSION}  # a run of another version is another run
+    older = not {named[fact] for fact in stale} - {VERSION}  # a run of another version is another run
     commands = run_commands(
         section.experiment, section.profile, section.overrides,
         [(made.label.task, policy(made.label.method), made.seed) for made in anew],
@@ -164,9 +177,13 @@ def configurations(label: Label, rows: pd.DataFrame) -> UserError | None:
     )
 
 
-def _runs(section: Section) -> Iterator[Made]:
-    for series in (*section.series, *section.deployments):
-        yield from (Made(series.label, seed, run) for seed, run in zip(series.seeds, series.runs, strict=True))
+def _runs(series: Iterable[Series]) -> Iterator[Made]:
+    for each in series:
+        yield from (Made(each.label, seed, run) for seed, run in zip(each.seeds, each.runs, strict=True))
+
+
+def _all(values: Iterable[str]) -> str:
+    return ", ".join(sorted(values)) or "what nobody recorded"
 
 
 def _which(runs: Sequence[Made]) -> str:

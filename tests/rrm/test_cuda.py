@@ -14,7 +14,7 @@ from rrm.config import CameraConfig, DrmConfig, DrqConfig, RewardConfig, SacConf
 from rrm.envs import Spaces
 from rrm.errors import ConfigError
 from rrm.losses import window_sums
-from rrm.nets.captured import prepare
+from rrm.nets.captured import Captured, prepare
 from rrm.nets.shift import pictures
 from rrm.rewards.ensemble import ResidualReward
 from rrm.seeding import Streams
@@ -92,6 +92,35 @@ def test_recording_changes_nothing_that_is_learned():
     rest, _ = updated(decode(encode(half)), streams)
     for name in ("actor", "critic", "target", "log_alpha"):
         assert torch.equal(whole["tensors"][name], rest["tensors"][name]), name
+
+
+@on_a_card
+def test_what_is_recorded_draws_from_where_its_generator_stands(monkeypatch):
+    """The first time, too, on a card that is busy: what torch does for a record, on another stream, comes before."""
+    generator = torch.Generator("cuda").manual_seed(1)
+
+    def drawing():
+        numbers = torch.empty(8, device="cuda")
+
+        def work():
+            torch.cuda._sleep(100_000_000)  # some 50 ms
+            return numbers.normal_(generator=generator)
+
+        return Captured(work, "cuda", generators=[generator])
+
+    def busy():
+        for _ in range(32):  # every stream that torch hands out
+            with torch.cuda.stream(torch.cuda.Stream()):
+                torch.cuda._sleep(40_000_000)
+
+    first = drawing()
+    first()
+    stands = generator.get_state()
+    wanted = [first().tolist() for _ in range(2)]
+    generator.set_state(stands)
+    monkeypatch.setattr(torch.cuda, "empty_cache", busy)  # which torch does before it prepares for a record
+    second = drawing()
+    assert [second().tolist() for _ in range(2)] == wanted
 
 
 @on_a_card

@@ -11,6 +11,7 @@ from rrmctl.reports.iqm_curves import write_curves
 from rrmctl.reports.render import FORMATS
 from rrmctl.reports.select import of_profile, read_sections
 from rrmctl.store.layout import Layout
+from tests.rrmctl.reports import stores
 from tests.rrmctl.reports.frames import RECORDED, RISING, Sweep
 
 SEEDS = [("button-press", "pebble", seed) for seed in range(5)]
@@ -274,3 +275,22 @@ def test_half_a_new_sweep_is_a_mixture(tmp_path):
     (section,) = read_sections(tmp_path, allow_mixed=True)
     assert by_method(section)["pebble"].seeds == (0, 1, 2, 3, 4)
     assert (section.planned, section.contained) == (15, 15)
+
+
+def test_policies_are_deployed_where_nothing_is_trained():
+    """Trained on a server and deployed at an arm, with another torch: that is said, and refused within either alone."""
+    section = stores.deployed()
+
+    def made(series, torch):
+        facts = {"torch": torch, "device": "cpu"}
+        return {run: comparability.Making({}, facts, "c0de", None) for each in series for run in each.runs}
+
+    makings = made(section.series, "2.6.0") | made(section.deployments, "2.7.1")
+    assert comparability.mixture(section, makings) == {}
+    (remark,) = comparability.remarks(section, makings)
+    assert remark == "Policies were trained with torch 2.6.0 and deployed with 2.7.1."
+    assert not [*comparability.remarks(section, makings | made(section.deployments, "2.6.0"))]
+
+    first = section.deployments[0].runs[0]
+    mixed = comparability.mixture(section, makings | {first: made(section.deployments, "2.8.0")[first]})
+    assert [*mixed] == ["torch of the deployments"]
