@@ -125,13 +125,19 @@ def remarks(section: Section, makings: Mapping[str, Making]) -> Iterator[str]:
         if len(methods) > 1:
             which = "; ".join(f"{value}: {', '.join(names)}" for value, names in sorted(methods.items()))
             yield f"Methods differ in {fact}: {which}."
-    for name in (*_PACKAGES.values(), VERSION):
-        trained, deployed = (
-            {value for made in _runs(group) if (value := makings[made.run].facts.get(name)) is not None}
-            for group in (section.series, section.deployments)
-        )
-        if deployed - trained:
-            yield f"Policies were trained with {name} {_all(trained)} and deployed with {_all(deployed)}."
+    trained, deployed = (_values(group, makings) for group in (section.series, section.deployments))
+    for fact in sorted(deployed.keys() - {*_OF_METHODS, TRUE_REWARD}):
+        if deployed[fact] - trained[fact]:
+            yield f"Policies were trained with {fact} {_all(trained[fact])} and deployed with {_all(deployed[fact])}."
+
+
+def _values(series: Iterable[Series], makings: Mapping[str, Making]) -> Mapping[str, set[str]]:
+    """What the facts are among these runs."""
+    found: dict[str, set[str]] = defaultdict(set)
+    for made in _runs(series):
+        for fact, value in makings[made.run].facts.items():
+            found[fact].add(value)
+    return found
 
 
 def refuse(section: Section, mixed: Mixture, layout: Layout) -> UserError:
