@@ -20,12 +20,14 @@ from typing import Self
 import numpy as np
 import torch
 
+from benchmarks import drqv2_update
 from benchmarks.lines import Line
 from benchmarks.reward_learning import ROWS, SEGMENT, labelled, lived
 from benchmarks.sac_update import ACT, OBS, random_batch, stable_baselines
 from rrm import devices
+from rrm.agents.drqv2 import Drq
 from rrm.agents.sac import Sac
-from rrm.config import RewardConfig, SacConfig
+from rrm.config import DrqConfig, RewardConfig, SacConfig
 from rrm.envs import Spaces
 from rrm.nets.captured import prepare
 from rrm.precision import Precision
@@ -71,17 +73,34 @@ def _updates() -> Iterator[Line]:
             ours=ours, unit="/s", peers=dict(zip(list(updates)[1:], peers, strict=True)),
             least_ratio=8 if peers else None, bound=2000 if precision == "float32" else None,
         )  # fmt: skip
+    yield from _seeing()
+
+
+def _seeing() -> Iterator[Line]:
+    """Of DrQ-v2, by windows that are on the card."""
+    config = DrqConfig(kind="drqv2")
+    for precision in ("float32", "bfloat16"):
+        prepare(DEVICE, precision)
+        agent = Drq(
+            config, Spaces(1, drqv2_update.ACT, drqv2_update.FRAMES), Streams(0), precision=precision, device=DEVICE
+        )
+        (took,) = in_turns(partial(_often, agent.update, _there(drqv2_update.random_batch(config))))
+        item = f"DrQ-v2 update on a card, batch {config.batch}, {config.channels} channels, {precision}"
+        yield Line(item=item, ours=1e3 * took / _AT_ONCE, unit="ms")
 
 
 def _ours(config: SacConfig, precision: Precision) -> Callable[[], None]:
     sac = Sac(config, Spaces(OBS, ACT), Streams(0), precision=precision, device=DEVICE)
-    batch = Batch(*(None if part is None else part.to(DEVICE) for part in random_batch(config.batch)))
+    return partial(_often, sac.update, _there(random_batch(config.batch)))
 
-    def work() -> None:
-        for _ in range(_AT_ONCE):
-            sac.update(batch)
 
-    return work
+def _there(batch: Batch) -> Batch:
+    return Batch(*(None if part is None else part.to(DEVICE) for part in batch))
+
+
+def _often(update: Callable[[Batch], None], batch: Batch) -> None:
+    for _ in range(_AT_ONCE):
+        update(batch)
 
 
 def in_turns(*works: Callable[[], object], turns: int = 5) -> list[float]:

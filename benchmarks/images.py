@@ -11,7 +11,6 @@ from __future__ import annotations
 import sys
 from collections.abc import Iterator
 
-import numpy as np
 import torch
 
 from benchmarks.lines import Line, apart, in_turns, peak_mib
@@ -57,7 +56,7 @@ def _reading(profile: str, budget: float) -> Line:
     batch = replay.sample()
     assert batch.frames is not None
     seen, then = batch.frames[:, :stack], batch.frames[:, -stack:]
-    moves = np.random.default_rng(0).integers(-4, 5, (2, len(seen), 2))
+    moves = torch.randint(-4, 5, (2, len(seen), 2), generator=torch.Generator().manual_seed(0))
 
     def move() -> None:
         pictures(seen, moves[0])

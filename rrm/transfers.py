@@ -8,9 +8,9 @@ from torch import Tensor
 from rrm.devices import CUDA
 
 
-def pinned(device: torch.device | str, *shape: int) -> Tensor:
-    """Float32 memory of the host, which a card reads and writes by itself where that is what `device` is."""
-    return torch.zeros(*shape, pin_memory=torch.device(device).type == CUDA)
+def pinned(device: torch.device | str, *shape: int, dtype: torch.dtype = torch.float32) -> Tensor:
+    """Memory of the host, which a card reads and writes by itself where that is what `device` is."""
+    return torch.zeros(*shape, dtype=dtype, pin_memory=torch.device(device).type == CUDA)
 
 
 def to(device: torch.device | str, values: Tensor) -> Tensor:

@@ -8,7 +8,6 @@ is learned before.
 
 from __future__ import annotations
 
-import math
 from typing import TYPE_CHECKING
 
 import torch
@@ -18,11 +17,15 @@ from rrm.agents.drqv2 import Drq
 from rrm.nets.tower import project
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from rrm.config import DrmConfig
     from rrm.envs.spaces import Spaces
     from rrm.precision import Precision
     from rrm.seeding import Streams
     from rrm.types import Batch, State
+
+_NEVER = -1  # of the step since which it is awake
 
 
 class Drm(Drq):
@@ -43,27 +46,40 @@ class Drm(Drq):
         super().__init__(config, spaces, streams, precision=precision, device=device)
         self.value = self._tower(1)
         self._train("value", self.value)
-        self.dormant_ratio = 1.0  #: of the actor's units, at the last update
-        self._awake: int | None = None  # since this step
-        self._perturbed = 0  # times
+        self._dormant = torch.ones((), dtype=torch.float64, device=device)
+        self._awake = torch.full_like(self._dormant, _NEVER)  # since this step
+        self._perturbed = self._due = 0  # times
 
     @property
     def _dropout(self) -> float:
         return self.config.dropout
 
     @property
-    def stddev(self) -> float:
-        above = self.dormant_ratio - self.config.target_ratio
-        dormant = 1 / (1 + math.exp(-self.config.sharpness * above))
-        return dormant if self._awake is None else max(dormant, self._scheduled(self._step - self._awake))
+    def dormant_ratio(self) -> float:
+        """Of the actor's units, at the last update."""
+        return self._dormant.item()
+
+    def _deviation(self) -> Tensor:
+        dormant = torch.sigmoid(self.config.sharpness * (self._dormant - self.config.target_ratio))
+        scheduled = self._scheduled(self._step - self._awake)
+        return torch.where(self._awake == _NEVER, dormant, torch.maximum(dormant, scheduled))
+
+    def at(self, step: int) -> None:
+        super().at(step)
+        self._due = step // self.config.perturb_every
 
     def update(self, batch: Batch) -> None:
-        due = self._step // self.config.perturb_every
-        if due > self._perturbed:
+        if self._due > self._perturbed:
             self._perturb()
-            self._perturbed = due
+            self._perturbed = self._due
         super().update(batch)
-        self._say({"dormant_ratio": self.dormant_ratio})
+
+    def _learn(self) -> Sequence[Tensor]:
+        return *super()._learn(), self._dormant
+
+    @property
+    def _changed(self) -> list[Tensor]:
+        return [*super()._changed, self._dormant, self._awake]
 
     @torch.no_grad()
     def _perturb(self) -> None:
@@ -77,9 +93,9 @@ class Drm(Drq):
     def _look(self, features: Tensor, act: Tensor) -> list[Tensor]:
         """Also count dormant units, and regress the value of the features on an upper expectile of the critics'."""
         pre_actor, pre_critic, pre_value = project(features, self.actor, self.critic, self.value)
-        self.dormant_ratio = dormant_ratio(self.actor.outputs(pre_actor), self.config.dormant_share)
-        if self._awake is None and self.dormant_ratio < self.config.target_ratio:
-            self._awake = self._step
+        self._dormant.copy_(dormant_ratio(self.actor.outputs(pre_actor), self.config.dormant_share))
+        awakens = (self._awake == _NEVER) & (self._dormant < self.config.target_ratio)
+        self._awake.copy_(torch.where(awakens, self._step, self._awake))
         q = torch.minimum(*self._q(self.critic, pre_critic, act))
         with torch.enable_grad():
             pre_value = pre_value.detach().requires_grad_()
@@ -104,20 +120,26 @@ class Drm(Drq):
         self._adams["value"].reset()
 
     def state_dict(self) -> State:
-        own = {"dormant_ratio": self.dormant_ratio, "awake": self._awake, "perturbed": self._perturbed}
+        awake = int(self._awake)
+        own = {
+            "dormant_ratio": self.dormant_ratio, "awake": None if awake == _NEVER else awake,
+            "perturbed": self._perturbed,
+        }  # fmt: skip
         return super().state_dict() | own
 
     def load_state_dict(self, state: State) -> None:
         super().load_state_dict(state)
-        self.dormant_ratio, self._awake = state["dormant_ratio"], state["awake"]
+        self._dormant.fill_(state["dormant_ratio"])
+        self._awake.fill_(_NEVER if state["awake"] is None else state["awake"])
         self._perturbed = state["perturbed"]
 
 
-def dormant_ratio(outputs: list[Tensor], share: float) -> float:
-    """Of all units of linear layers those whose mean size over a batch is below this share of their layer's mean.
+def dormant_ratio(outputs: list[Tensor], share: float) -> Tensor:
+    """Of all units of linear layers those whose mean size over a batch is below this share of their layer's mean: a
+    scalar in double precision, where the outputs are.
 
     Args: outputs: of each layer, hidden ones after their ReLU, [..., B, units].
     """
     sizes = [layer.abs().mean(dim=-2).flatten() for layer in outputs]
-    dormant = sum(int((size < share * size.mean()).sum()) for size in sizes)
-    return dormant / sum(map(len, sizes))
+    dormant = torch.stack([(size < share * size.mean()).sum() for size in sizes]).sum()
+    return dormant.double() / sum(map(len, sizes))

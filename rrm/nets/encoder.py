@@ -16,7 +16,7 @@ from torch import Tensor, nn
 
 from rrm.errors import ConfigError
 from rrm.nets.flat import Parameters
-from rrm.nets.shift import Moves, pictures
+from rrm.nets.shift import pictures
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -134,7 +134,7 @@ class Pass:
         self._pictures: list[Tensor] = []
 
     @torch.no_grad()
-    def forward(self, frames: Tensor, moves: Moves | None = None) -> Tensor:
+    def forward(self, frames: Tensor, moves: Tensor | None = None) -> Tensor:
         """The features of `frames` uint8 [B, stack, channels, height, width], moved as `pictures` does it."""
         self._factors, self._pictures = self._net.factors(), []
         for rows in self._chunks:

@@ -4,45 +4,39 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 import torch
 from torch import Tensor
 
 from rrm.nets.compiled import move
-from rrm.transfers import to
-
-Moves = npt.NDArray[np.int64]
 
 
-def pictures(frames: Tensor, moves: Moves | None = None) -> Tensor:
+def pictures(frames: Tensor, moves: Tensor | None = None) -> Tensor:
     """Each stack as one picture, x - 128 as int8 [B, stack x channels, height, width], channels last in memory.
 
     Args:
         frames: uint8 [B, stack, channels, height, width].
-        moves: how many pixels down and to the right of its own the one lies that a pixel takes its value from, [B, 2];
-            beyond the edge that is the edge's, as if the picture went on.
+        moves: how many pixels down and to the right of its own the one lies that a pixel takes its value from, int64
+            [B, 2]; beyond the edge that is the edge's, as if the picture went on.
     """
     count, planes, (height, width) = len(frames), frames.shape[1] * frames.shape[2], frames.shape[3:]
     if frames.device.type != "cpu":
         return _gathered(frames.flatten(1, 2), moves)
     if not frames[0].is_contiguous():
         frames = frames.contiguous()
-    if moves is None:
-        moves = np.zeros((count, 2), np.int64)
+    by = np.zeros((count, 2), np.int64) if moves is None else moves.numpy()
     moved = np.empty((count, planes, height, width), np.uint8)
-    move(frames.data_ptr(), frames.stride(0), moves, moved.ctypes.data, planes, height, width)
+    move(frames.data_ptr(), frames.stride(0), by, moved.ctypes.data, planes, height, width)
     together = np.empty((count, height * width, planes), np.uint8)
     for target, source in zip(together, moved.reshape(count, planes, -1), strict=True):
         target[...] = cv2.transpose(source)
     return torch.from_numpy(together.view(np.int8)).view(count, height, width, planes).permute(0, 3, 1, 2)
 
 
-def _gathered(planes: Tensor, moves: Moves | None) -> Tensor:
+def _gathered(planes: Tensor, moves: Tensor | None) -> Tensor:
     """The same of planes [B, planes, height, width] on a card."""
     if moves is not None:
-        by = to(planes.device, torch.from_numpy(moves))
         rows, columns = (
-            (torch.arange(side, device=planes.device) + by[:, axis, None]).clamp_(0, side - 1)
+            (torch.arange(side, device=planes.device) + moves[:, axis, None]).clamp_(0, side - 1)
             for axis, side in enumerate(planes.shape[2:])
         )
         one, every = (torch.arange(n, device=planes.device) for n in planes.shape[:2])

@@ -5,6 +5,9 @@ import pytest
 import torch
 
 from rrm import devices
+from rrm.agents import drqv2
+from rrm.agents.drm import Drm
+from rrm.agents.drqv2 import Drq
 from rrm.agents.sac import Sac
 from rrm.buffers import experience as experience_module
 from rrm.buffers.experience import Experience
@@ -20,8 +23,13 @@ from rrm.rewards.ensemble import ResidualReward
 from rrm.seeding import Streams
 from rrm.training.jobs import train
 from rrm.training.run_config import RunConfig
-from rrm.types import Batch, Obs, Segments
+from rrm.types import Batch, Obs, Segments, State
 from tests.rrm.agents.reference_sac import ReferenceSac
+from tests.rrm.agents.test_drm import SMALL as SMALL_DRM
+from tests.rrm.agents.test_drqv2 import SMALL as SMALL_DRQ
+from tests.rrm.agents.test_drqv2 import SPACES as SEEN
+from tests.rrm.agents.test_drqv2 import windows
+from tests.rrm.agents.test_sac import assert_same
 from tests.rrm.buffers.test_experience import lived
 from tests.rrm.training.conftest import networks, recorder, tiny  # noqa: F401 (fixtures)
 from tests.rrm.training.test_imitation import METHODS as IMITATED
@@ -31,12 +39,26 @@ from tests.rrm.training.test_jobs import METHODS, interrupted
 on_a_card = pytest.mark.skipif(bool(devices.missing()), reason=f"CUDA cannot be used here: {devices.missing()}")
 
 OBS, ACT = 39, 4
+GIVEN = ("act", "reward", "continues", "frames")  #: of a batch, to agents that see frames
 
 
 def a_batch(rows: int) -> Batch:
     obs, next_obs = torch.randn(2, rows, OBS)
     on = (torch.rand(rows) > 0.1).float()
     return Batch(obs, torch.rand(rows, ACT) * 2 - 1, torch.zeros(rows), torch.randn(rows), next_obs, on)
+
+
+def seeing(agent: type[Drq], config: DrqConfig, device: str) -> tuple[list[list[float]], dict[str, float], State]:
+    """An agent that sees frames, after some updates: its actions meanwhile, its figures, its state."""
+    one = agent(config, SEEN, Streams(5), device=device)
+    acts = []
+    for seed in range(6):
+        one.at(200 * seed)  # DrM is perturbed on the way
+        batch = windows(seed)
+        one.update(batch._replace(**{name: getattr(batch, name).to(device) for name in GIVEN}))
+        obs = Obs(np.zeros(5, np.float32), batch.frames[0, : SEEN.frames.stack].numpy())
+        acts.append(one.act(obs, explore=seed % 2 == 0).tolist())
+    return acts, one.figures(), one.state_dict()
 
 
 def there(batch: Batch) -> Batch:
@@ -124,6 +146,19 @@ def test_what_is_recorded_draws_from_where_its_generator_stands(monkeypatch):
 
 
 @on_a_card
+@pytest.mark.parametrize(("agent", "config"), [(Drq, SMALL_DRQ), (Drm, SMALL_DRM)])
+def test_what_is_recorded_of_agents_that_see_frames(agent, config, monkeypatch):
+    """Updates and actions are those of the same code, not recorded."""
+    prepare("cuda", "float32")
+
+    recorded = seeing(agent, config, "cuda")
+    monkeypatch.setattr(Captured, "__call__", lambda self: self._work())
+    plain = seeing(agent, config, "cuda")
+    assert recorded[:2] == plain[:2]
+    assert_same(recorded[2], plain[2])
+
+
+@on_a_card
 @pytest.mark.slow
 @pytest.mark.parametrize("method", METHODS, ids=str)
 def test_a_run_in_pieces_is_the_run(tiny, recorder, networks, tmp_path, method):  # noqa: F811
@@ -186,9 +221,9 @@ def test_rewards_are_those_of_the_processor():
 @on_a_card
 def test_pictures_are_moved_as_on_the_processor():
     frames = torch.randint(0, 256, (5, 3, 3, 12, 9), dtype=torch.uint8)
-    moves = np.random.default_rng(0).integers(-4, 5, (5, 2))
-    for by in (None, moves):
-        assert torch.equal(pictures(frames.to("cuda"), by).cpu(), pictures(frames, by))
+    moves = torch.randint(-4, 5, (5, 2))
+    assert torch.equal(pictures(frames.to("cuda")).cpu(), pictures(frames))
+    assert torch.equal(pictures(frames.to("cuda"), moves.to("cuda")).cpu(), pictures(frames, moves))
 
 
 @on_a_card
@@ -214,6 +249,16 @@ def test_the_rows_of_a_table_are_those_of_the_columns(tiny, recorder, networks, 
     assert count > 2
     assert straight.numbers() == pieces.numbers()
     assert networks(tmp_path / "a") == networks(tmp_path / "b")
+
+
+@pytest.mark.parametrize(("agent", "config"), [(Drq, SMALL_DRQ), (Drm, SMALL_DRM)])
+def test_what_is_seen_is_put_in_one_place(agent, config, monkeypatch):
+    """An agent that copies batches and frames to where it looked before learns what one does that looks at them."""
+    plain = seeing(agent, config, "cpu")
+    monkeypatch.setattr(drqv2, "CPU", "nowhere")
+    copied = seeing(agent, config, "cpu")
+    assert copied[:2] == plain[:2]
+    assert_same(copied[2], plain[2])
 
 
 def test_a_table_grows(monkeypatch):

@@ -55,7 +55,7 @@ def test_dormant_units() -> None:
     features = torch.tensor([[3.0, 2.0, 1.0, 0.01, 9.0, 9.0]]).repeat(4, 1)
     share = dormant_ratio(actor.outputs(features @ weight.detach().t()), 0.025)
     # One of the trunk; two of the first hidden layer; of the others, which are all alike, none.
-    assert share == pytest.approx(3 / (4 + 5 + 5 + 3))
+    assert share.item() == pytest.approx(3 / (4 + 5 + 5 + 3))
 
 
 def test_dormant_units_as_its_code_counts_them() -> None:
@@ -64,7 +64,7 @@ def test_dormant_units_as_its_code_counts_them() -> None:
     features = agent.encoder.encode(scenes(30, frames=SPACES.frames))
     pre = features @ agent.actor.trunk.t()
     theirs = textbooks.dormant_ratio(textbooks.TrunkAndHeads(agent.actor), features, 0.3)
-    assert dormant_ratio(agent.actor.outputs(pre), 0.3) == pytest.approx(theirs)
+    assert dormant_ratio(agent.actor.outputs(pre), 0.3).item() == pytest.approx(theirs)
     assert theirs > 0.1
 
 
@@ -87,7 +87,7 @@ def test_it_awakens() -> None:
     for step, expected in ((300, 1.0), (800, 0.55), (1300, 0.1)):
         agent.at(step)
         assert agent.stddev == pytest.approx(expected, abs=0.01)
-    agent.dormant_ratio = 1.0  # falling asleep again: more noise, awake as it is
+    agent._dormant.fill_(1.0)  # falling asleep again: more noise, awake as it is
     assert agent.stddev == pytest.approx(0.5)
 
 
@@ -129,7 +129,7 @@ def test_how_much_a_perturbation_keeps(ratio: float, kept: float) -> None:
     agent = make(lr=1e-9)
     bias = agent.actor.parameters()[1]
     bias.data.fill_(1.0)
-    agent.dormant_ratio = ratio
+    agent._dormant.fill_(ratio)
     agent.at(1000)
     agent.update(windows(0))
     torch.testing.assert_close(bias.detach(), torch.full_like(bias, kept))

@@ -95,7 +95,7 @@ def test_bfloat16() -> None:
 def test_moved_pictures_are_crops_of_padded_ones() -> None:
     """A move by whole pixels is a crop of what replicate-padding makes, the same for all pictures of a stack."""
     reach, (height, width) = 3, (FRAMES.height, FRAMES.width)
-    moves = np.array([(y, x) for y in range(-reach, reach + 1) for x in range(-reach, reach + 1)])
+    moves = torch.tensor([(y, x) for y in range(-reach, reach + 1) for x in range(-reach, reach + 1)])
     frames = scenes(len(moves))
     padded = pad(frames.flatten(1, 2).float(), [reach] * 4, mode="replicate")
     expected = torch.stack([
@@ -111,7 +111,7 @@ def test_moved_pictures_are_crops_of_padded_ones() -> None:
 def test_a_move_beyond_the_picture() -> None:
     """What is further away than the picture is wide is its edge."""
     frames = scenes(2)
-    far = pictures(frames, np.array([(0, 40), (-40, 0)])) + 128.0
+    far = pictures(frames, torch.tensor([(0, 40), (-40, 0)])) + 128.0
     assert torch.equal(far[0], frames[0].flatten(0, 1)[..., -1:].expand(-1, -1, FRAMES.width))
     assert torch.equal(far[1], frames[1].flatten(0, 1)[..., :1, :].expand(-1, FRAMES.height, -1))
 
