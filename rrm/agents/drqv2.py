@@ -69,7 +69,7 @@ class Drq:
         assert spaces.frames is not None  # the configuration has checked it
         self.config = config
         self.updates = 0  #: finished updates
-        self._stack, self._act_dim, self._device = spaces.frames.stack, spaces.act, device
+        self._stack, self._device = spaces.frames.stack, device
         self._step = torch.zeros((), dtype=torch.float64, device=device)  # the present one, of the environment
         self._init = streams.torch("init")  # the same weights on any device
         self._noise = streams.torch("agent", device)
