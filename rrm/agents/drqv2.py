@@ -21,7 +21,7 @@ from rrm.nets.adam import FlatAdam
 from rrm.nets.captured import Captured
 from rrm.nets.encoder import Encoder, Pass
 from rrm.nets.tower import Tower, product, project
-from rrm.transfers import pinned, to
+from rrm.transfers import brought, pinned, to
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -147,10 +147,7 @@ class Drq:
     def act(self, obs: Obs, *, explore: bool) -> Floats:
         self._seen.numpy()[0] = obs.frames
         self._acts_by[explore]()
-        if self._chosen.is_pinned():  # by a card that goes its own way
-            torch.cuda.current_stream(self._device).synchronize()
-        action: Floats = self._chosen.numpy().copy()
-        return finite_action(action, self.updates, "the frames of this step")
+        return finite_action(brought(self._device, self._chosen), self.updates, "the frames of this step")
 
     def _act(self, explore: bool) -> None:
         """From what is seen to what is chosen."""

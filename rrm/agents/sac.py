@@ -22,7 +22,7 @@ from rrm.losses import squashed_gaussian_log_prob
 from rrm.nets.adam import FlatAdam
 from rrm.nets.captured import Captured
 from rrm.nets.mlp import Memory, Pass, StackedMLP
-from rrm.transfers import pinned
+from rrm.transfers import brought, pinned
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -205,10 +205,7 @@ class Sac:
     def act(self, obs: Obs, *, explore: bool) -> Floats:
         self._seen[0] = torch.as_tensor(obs.state, dtype=torch.float32)
         self._acts_by[explore]()
-        if self._chosen.is_pinned():  # by a card that goes its own way
-            torch.cuda.current_stream(self._device).synchronize()
-        action: Floats = self._chosen.numpy().copy()
-        return finite_action(action, self.updates, f"the observation {obs.state.tolist()}")
+        return finite_action(brought(self._device, self._chosen), self.updates, f"the observation {obs.state.tolist()}")
 
     def _act(self, explore: bool) -> None:
         """From what is seen to what is chosen."""

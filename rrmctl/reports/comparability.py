@@ -126,9 +126,10 @@ def remarks(section: Section, makings: Mapping[str, Making]) -> Iterator[str]:
             which = "; ".join(f"{value}: {', '.join(names)}" for value, names in sorted(methods.items()))
             yield f"Methods differ in {fact}: {which}."
     trained, deployed = (_values(group, makings) for group in (section.series, section.deployments))
-    for fact in sorted(deployed.keys() - {*_OF_METHODS, TRUE_REWARD}):
+    for fact in sorted(deployed.keys() & trained.keys() - {*_OF_METHODS, TRUE_REWARD}):
         if deployed[fact] - trained[fact]:
-            yield f"Policies were trained with {fact} {_all(trained[fact])} and deployed with {_all(deployed[fact])}."
+            there, then = (", ".join(sorted(values[fact])) for values in (trained, deployed))
+            yield f"Policies were trained with {fact} {there} and deployed with {then}."
 
 
 def _values(series: Iterable[Series], makings: Mapping[str, Making]) -> Mapping[str, set[str]]:
@@ -186,10 +187,6 @@ def configurations(label: Label, rows: pd.DataFrame) -> UserError | None:
 def _runs(series: Iterable[Series]) -> Iterator[Made]:
     for each in series:
         yield from (Made(each.label, seed, run) for seed, run in zip(each.seeds, each.runs, strict=True))
-
-
-def _all(values: Iterable[str]) -> str:
-    return ", ".join(sorted(values)) or "what nobody recorded"
 
 
 def _which(runs: Sequence[Made]) -> str:
