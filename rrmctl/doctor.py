@@ -13,7 +13,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 from rrm import devices
 from rrm.environ import run_python
@@ -27,6 +27,9 @@ from rrmctl.planning import card_rates
 from rrmctl.planning.experiments import SHIPPED, available
 from rrmctl.store.mounts import Mount, mount_of
 from rrmctl.store.owner import LEASE_S, NETWORK_LEASE_S
+
+if TYPE_CHECKING:
+    from packaging.requirements import Requirement
 
 DISTRIBUTION = "rrmctl"
 
@@ -97,8 +100,12 @@ def packages() -> Iterator[Check]:
     for text in metadata.requires(DISTRIBUTION) or []:
         requirement = Requirement(text)
         extra = requirement.marker is not None and not requirement.marker.evaluate({"extra": ""})
-        if not extra or requirement.name == "pybullet":  # the others are tools of developers
+        if not extra or _of_extra(requirement, "robot"):  # the others are tools of developers
             yield package(requirement.name, str(requirement.specifier), extra="robot" if extra else None)
+
+
+def _of_extra(requirement: Requirement, extra: str) -> bool:
+    return requirement.marker is not None and requirement.marker.evaluate({"extra": extra})
 
 
 def package(name: str, specifier: str, *, extra: str | None = None) -> Check:

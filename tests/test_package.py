@@ -10,9 +10,11 @@ import subprocess
 import sys
 import tarfile
 import venv
+from importlib import metadata
 from pathlib import Path
 
 import pytest
+from packaging.requirements import Requirement
 
 import rrm
 
@@ -39,6 +41,16 @@ def versions(results: Path) -> set[str]:
     """Which version of this project made the runs."""
     records = [json.loads(path.read_bytes()) for path in results.glob("runs/*/provenance.json")]
     return {record["versions"]["rrmctl"] for record in records}
+
+
+@pytest.mark.parametrize(("python", "wheel"), [("3.11", True), ("3.12", False)])
+def test_developers_build_no_simulator(python: str, wheel: bool) -> None:
+    """PyBullet is asked for where it has a wheel: building it takes a compiler and ten minutes."""
+    asked = [Requirement(text) for text in metadata.requires("rrmctl") or []]
+    here = {"extra": "dev", "python_version": python}
+    names = {one.name for one in asked if one.marker is None or one.marker.evaluate(here)}
+    assert {"torch", "pytest"} < names
+    assert ("pybullet" in names) == wheel
 
 
 @pytest.fixture(scope="module")

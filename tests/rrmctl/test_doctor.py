@@ -25,7 +25,9 @@ from rrmctl.planning.experiments import SHIPPED
 
 def test_required_packages_are_found() -> None:
     """Every requirement of the project is checked, and this environment meets them."""
-    found = {check.name: check for check in doctor.packages()}
+    checks = list(doctor.packages())
+    found = {check.name: check for check in checks}
+    assert len(found) == len(checks)
     assert {"python", "torch", "metaworld", "dm-control", "pyarrow", "pybullet"} <= set(found)
     assert "pytest" not in found
     assert all(check.state == "ok" for name, check in found.items() if name != "pybullet")
