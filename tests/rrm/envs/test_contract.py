@@ -17,10 +17,7 @@ from rrm.envs import TASKS, make, task
 from rrm.errors import ConfigError, NumericalError, UnknownNameError
 from tests.robot import robot
 from tests.rrm.envs.rollouts import HORIZON, actions, digest, roll
-
-MARKS = {"toy": (), "toy-image": (), "panda": robot}
-NAMES = [pytest.param(t.name, marks=MARKS.get(t.suite, pytest.mark.sim)) for t in TASKS.values()]
-every_task = pytest.mark.parametrize("name", NAMES)
+from tests.rrm.envs.tasks import every_task
 
 
 @pytest.fixture(scope="module")

@@ -3,14 +3,13 @@
 import numpy as np
 import pytest
 
-from rrm.envs import TASKS, make
+from rrm.envs import make
 from rrm.errors import ConfigError
 from tests.rrm.envs.rollouts import actions, roll
+from tests.rrm.envs.tasks import every_task
 
-NAMES = [pytest.param(t.name, marks=() if t.suite.startswith("toy") else pytest.mark.sim) for t in TASKS.values()]
 
-
-@pytest.mark.parametrize("name", NAMES)
+@every_task
 def test_a_task_is_drawn_for_people(name, opengl):
     """One size throughout, another picture after some steps, the same one for the same state in another environment."""
     env, twin = (make(name, horizon=30, render_mode="rgb_array") for _ in range(2))
@@ -31,7 +30,7 @@ def test_a_task_is_drawn_for_people(name, opengl):
         made.close()
 
 
-@pytest.mark.parametrize("name", NAMES)
+@every_task
 def test_looking_changes_nothing(name, opengl):
     """An episode under the eyes of a person is the same episode."""
     seen, unseen = make(name, horizon=30, render_mode="rgb_array"), make(name, horizon=30)
