@@ -76,6 +76,24 @@ def documented_commands():
     return [words[1:] for words in lines if words[:1] == ["rrmctl"]]
 
 
+def reference_tables():
+    """Of every shell block on the stored results that a table follows: its reports, as words, and the table's lines."""
+    pages = [README, *(path.read_text() for path in sorted((ROOT / "docs").glob("*.md")))]
+    found = (re.findall(r"```sh\n([^`]*)```\n\n```\n([^`]*)```", page) for page in pages)
+    for shell, table in (each for page in found for each in page):
+        commands = [line.partition("#")[0].split()[1:] for line in shell.splitlines() if "results/reference" in line]
+        if reports := [words for words in commands if words[0] == "report"]:
+            yield pytest.param(reports, [line.rstrip() for line in table.splitlines()], id=" ".join(reports[0]))
+
+
+@pytest.mark.parametrize(("reports", "table"), list(reference_tables()))
+def test_the_tables_of_the_pages_come_out_of_the_stored_runs(reports, table):
+    """Every line of a table is one that the command above it prints, from the runs in the repository."""
+    told = [line.rstrip() for words in reports for line in rrmctl(ROOT, *words).stdout.splitlines()]
+    assert len(table) > 4
+    assert [line for line in table if line and line not in told] == []
+
+
 @pytest.mark.parametrize("words", documented_commands(), ids=" ".join)
 def test_documented_commands_exist(words):
     """Commands and options in the pages are the program's."""
