@@ -32,10 +32,10 @@ Ranges = Mapping[str, tuple[float, float]]
 
 ScoreKind = Literal["success", "return"]
 
-#: Where a feature stands in the observation, or how it follows from it.
 #: The suite whose tasks an arm does.
 ARM = "panda"
 
+#: Where a feature stands in the observation, or how it follows from it.
 Feature = slice | Callable[["Floats"], Any]
 
 

@@ -59,7 +59,7 @@ class Reading:
     words: str
     steps: Literal["last", "common", "all"] = "last"  #: the last one up to `until`, the box figure's, all up to `until`
     until: float = 1.0  #: share of the training
-    measure: Literal["label_accuracy", "residual beyond prior"] | None = None  #: None: the score the paper reports
+    measure: Literal["true_accuracy", "residual beyond prior"] | None = None  #: None: the score the paper reports
     unit: ScoreKind | None = None  #: how numbers are written; None: as the task's score
     spread: bool = False  #: the standard deviation of the seeds, not their interquartile mean
     tasks: Literal["pooled", "averaged"] = "pooled"  #: of several: one number of all seeds, or the mean of each task's

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from rrm.envs.tasks import TASKS
 from rrmctl.errors import UserError
 from rrmctl.reports.columns import METHOD, PLACE, QUARTILES, RUNS, SCORE, Column, estimated, step
 from rrmctl.reports.scores import score
@@ -39,7 +40,7 @@ CURVE_COLUMNS = {
     "n": WHOLE, "iqm_kind": TEXT, "schema_version": WHOLE,
 }  # fmt: skip
 
-#: Stands for the task in rows that pool all tasks read by success.
+#: Stands for the task in rows that pool all tasks read by success, with what agents see behind it where that differs.
 ALL_TASKS = "success tasks"
 #: Beside a step that is merely the last one, and before the note that says so.
 LAST_MARK = "*"
@@ -153,24 +154,45 @@ def iqm_rows(section: Section, settings: Statistics) -> list[dict[str, Any]]:
                 here = {"iqm": curve.iqm.estimate, "low": curve.iqm.low, "high": curve.iqm.high}
                 here |= {"q25": curve.q25, "q75": curve.q75}
                 rows[-1] |= {name: float(values[at]) for name, values in here.items()} | area.row("auc", "auc_")
-    return rows + [row for group in across_tasks(panels) for row in _group_rows(group, settings)]
+    return rows + [row for name, group in across_tasks(panels) for row in _group_rows(name, group, settings)]
 
 
-def across_tasks(panels: Sequence[Panel]) -> list[list[Panel]]:
-    """Panels of different success tasks that may be pooled: as many tasks in each group as there are, or no group."""
+def across_tasks(panels: Sequence[Panel]) -> list[tuple[str, list[Panel]]]:
+    """Panels of different success tasks that may be pooled, and what those are called together.
+
+    Each group has all tasks on which agents see the same kind of thing, states or images: there agents and heuristics
+    are the same.
+    """
     success = [panel for panel in panels if panel.score == "success"]
-    tasks = {panel.task for panel in success}
+    on_images = [panel for panel in success if _on_images(panel.task)]
+    if not on_images or len(on_images) == len(success):
+        return [(ALL_TASKS, group) for group in _alike(success)]
+    on_states = [panel for panel in success if panel not in on_images]
+    return [
+        (f"{ALL_TASKS} on {what}", group)
+        for what, those in (("states", on_states), ("images", on_images))
+        for group in _alike(those)
+    ]
+
+
+def _alike(panels: Sequence[Panel]) -> list[list[Panel]]:
+    """Groups of one teacher and schedule, with as many tasks in each as there are, or no group."""
+    tasks = {panel.task for panel in panels}
     if len(tasks) < 2:
         return []
-    if len(success) == len(tasks):
-        return [success]  # one teacher and schedule for each task, though a schedule may be the task's own
+    if len(panels) == len(tasks):
+        return [list(panels)]  # one teacher and schedule for each task, though a schedule may be the task's own
     groups: dict[tuple[str, str], list[Panel]] = defaultdict(list)
-    for panel in success:
+    for panel in panels:
         groups[panel.teacher, panel.feedback].append(panel)
     return [group for group in groups.values() if len(group) == len(tasks)]
 
 
-def _group_rows(group: Sequence[Panel], settings: Statistics) -> Iterator[dict[str, Any]]:
+def _on_images(name: str) -> bool:
+    return name in TASKS and TASKS[name].spaces.frames is not None
+
+
+def _group_rows(name: str, group: Sequence[Panel], settings: Statistics) -> Iterator[dict[str, Any]]:
     """A row for every method that has runs on all tasks of the group, each task read at its own common step."""
     by_task = [{series.label.method: series for series in panel.present()} for panel in group]
     named = ({panel.teacher for panel in group}, "several"), ({panel.feedback for panel in group}, "each task's")
@@ -182,7 +204,7 @@ def _group_rows(group: Sequence[Panel], settings: Statistics) -> Iterator[dict[s
         ]
         q25, q75 = quartiles(np.concatenate(scores))
         yield {
-            "task": ALL_TASKS, "teacher": teacher, "feedback": feedback, "method": method, "score": "success",
+            "task": name, "teacher": teacher, "feedback": feedback, "method": method, "score": "success",
             "step_rule": "each", "q25": float(q25), "q75": float(q75), "n": sum(one.n for one in series),
             "planned": sum(one.planned for one in series),
             **score(scores, settings, pooled=True).estimate().row("iqm"),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -12,7 +13,7 @@ import numpy as np
 from rrm.envs.tasks import ScoreKind
 from rrmctl.labels import ORACLE
 from rrmctl.reports.figure_layout import Axes, Slot
-from rrmctl.reports.iqm_curves import ALL_TASKS, across_tasks
+from rrmctl.reports.iqm_curves import across_tasks
 from rrmctl.reports.series import Panel, Section, Series, at_steps
 from rrmctl.reports.statistics import Statistics
 from rrmctl.reports.styles import Looks, Style
@@ -137,9 +138,10 @@ def readings(section: Section, rule: Callable[[Panel], CommonStep], last: int = 
             for series in panel.present()
         }
         single[panel] = FinalScores(panel_name(panel, panels), panel.score, strata, (panel,), read)
-    for group in groups:  # several of them are told apart by teacher and schedule
-        name = f"{ALL_TASKS}, {group[0].teacher}, {group[0].feedback}" if len(groups) > 1 else ALL_TASKS
+    names = Counter(name for name, _ in groups)
+    for name, group in groups:  # those of one name are told apart by teacher and schedule
+        whose = f", {group[0].teacher}, {group[0].feedback}" if names[name] > 1 else ""
         tasks = [single[panel].strata for panel in group]
         strata = {method: [task[method][0] for task in tasks] for method in tasks[0] if all(method in t for t in tasks)}
-        pooled.append(FinalScores(name, "success", strata, tuple(group), None))
+        pooled.append(FinalScores(name + whose, "success", strata, tuple(group), None))
     return [*single.values(), *pooled]

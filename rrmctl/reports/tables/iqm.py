@@ -24,7 +24,8 @@ EXPLAINED = (
     "seeds of a method but the oracle are at 100 %, which flatters all methods alike. Where there is none (marked *), "
     "and for returns: the last one that all have.",
     "AUC: area under the IQM curve over the steps common to a task's methods, divided by their span.",
-    f'"{ALL_TASKS}": the seeds of all tasks that are read by success, pooled, each task at its own step.',
+    f'"{ALL_TASKS}": the seeds of all tasks that are read by success, pooled, each task at its own step; those on '
+    "states and those on images apart. A method stands there that has runs on all of them.",
 )
 
 

@@ -39,11 +39,11 @@ EXPERIMENTS = ("sim-to-real",)
 EXPLAINED = (
     "Simulated rig: another simulation than that of the training, with other masses, friction, motors and latency; two "
     "cameras see the cube. Sim: the last evaluation of the training up to that step.",
-    "Paper: 5 seeds x 20 episodes on a physical robot. In brackets: ours less the paper's, in percentage points for "
-    "success.",
+    "Paper: 5 seeds x 20 episodes on a physical robot. In brackets: ours less the paper's, in percentage points.",
     "Checkpoint: of shorter trainings the same share of the training as the paper's, which stands in brackets.",
-    "The paper's returns of Push and Pick-and-Reach are below zero, which sums of its true reward cannot be: compare "
-    "success there.",
+    "Returns cannot be compared with the paper's: it does not say how long an episode is, how often the arm is commanded "
+    "and how high the hand stays in Reach, and its returns of Push and Pick-and-Reach are below zero, which sums of its "
+    "true reward cannot be.",
 )
 
 IQM = estimated("iqm", "IQM")
@@ -71,7 +71,7 @@ def make(sections: Sequence[Section], settings: Statistics) -> list[Report]:
 
 
 def rows(section: Section, settings: Statistics) -> Iterator[dict[str, Any]]:
-    """A row for each task, method, checkpoint and score; success and its difference as fractions."""
+    """A row for each task, method, checkpoint and score; success and its difference to the paper's as fractions."""
     for series in section.series:
         label = series.label
         if label.task not in published.deployed_tasks():
@@ -93,7 +93,7 @@ def rows(section: Section, settings: Statistics) -> Iterator[dict[str, Any]]:
                 }  # fmt: skip
                 if deployed is not None and step in own:
                     row |= _played(deployed, int(step), kind, settings)
-                    row["difference"] = row["iqm"] - value
+                    row["difference"] = row["iqm"] - value if kind == "success" else math.nan
                 yield row
 
 
@@ -174,7 +174,6 @@ def _simulation(row: Row) -> str:
 
 
 def _beside(row: Row) -> str:
-    """The published value, and the difference to it in brackets."""
-    theirs, scale = number(row["published"], row["score"]), 100 if row["score"] == "success" else 1
-    missing = math.isnan(row["published"]) or math.isnan(row["difference"])
-    return theirs if missing else f"{theirs} ({scale * row['difference']:+.1f})"
+    """The published value, and in brackets by how much ours is above it, in percentage points."""
+    theirs = number(row["published"], row["score"])
+    return theirs if math.isnan(row["difference"]) else f"{theirs} ({100 * row['difference']:+.1f})"

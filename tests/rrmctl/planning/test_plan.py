@@ -7,7 +7,9 @@ from typing import Any
 
 import pytest
 
+from rrm.config import DrmConfig
 from rrm.envs.tasks import TASKS
+from rrm.training.run_config import RunConfig
 from rrmctl.errors import UserError
 from rrmctl.planning import manifest
 from rrmctl.planning.plan import Plan, make_plan, parse_seeds, variant
@@ -150,6 +152,44 @@ def test_mrn_refines_at_every_scale(scale: str) -> None:
             assert last > (run.first_session // run.reward.mrn.every + 1) * run.reward.mrn.every
 
 
+def test_mrn_refines_as_often_in_a_shorter_training() -> None:
+    """Steps on the outer loss while questions are left, beside the paper's."""
+    counts = []
+    for scale in ("paper", "laptop"):
+        plan = make_plan(manifest.load(EXPERIMENTS / "mrn.toml"), profile=scale, tasks=["button-press"], seeds="1")
+        run = config(plan, only(plan, "mrn"))
+        assert isinstance(run, RunConfig)
+        assert run.feedback is not None
+        last = run.first_session + (run.sessions() - 1) * run.feedback.every
+        counts.append((last - 1) // run.reward.mrn.every - run.first_session // run.reward.mrn.every)
+    assert counts == [4, 4]
+
+
+@pytest.mark.parametrize("scale", ["paper", "laptop"])
+def test_the_harder_task_on_images(scale: str) -> None:
+    """DrM learns it, but for the prior alone, and is perturbed as often in a shorter training.
+
+    The noise of the policy that the prior is learned from has faded in time.
+    """
+    chosen: dict[str, Any] = {"profile": scale, "tasks": ["sweep-into-image"], "seeds": "1"}
+    plan = make_plan(manifest.load(EXPERIMENTS / "main-results.toml"), **chosen)
+    alone = make_plan(manifest.load(EXPERIMENTS / "image-ablation.toml"), **chosen)
+    assert {run.agent.kind for run in map(plan.configs.get, (job.id for job in plan.jobs))} == {"drm"}  # type: ignore[union-attr]
+    kinds = {job.method: alone.configs[job.id].agent.kind for job in alone.jobs}  # type: ignore[union-attr]
+    assert kinds == {
+        "drqv2-penalty": "drqv2", "drqv2-language": "drqv2", "rrm-penalty": "drm", "rrm-language": "drm"
+    }  # fmt: skip
+    demos, airl = (plan.configs[job.id] for job in plan.needed[-2:])
+    assert isinstance(airl, RunConfig)
+    assert isinstance(airl.agent, DrmConfig)
+    run = config(plan, only(plan, "oracle"))
+    assert isinstance(run, RunConfig)
+    assert isinstance(run.agent, DrmConfig)
+    assert airl.agent.stddev_steps < airl.steps
+    assert run.steps // run.agent.perturb_every == 5
+    assert demos.episodes == {"paper": 500, "laptop": 100}[scale]  # type: ignore[union-attr]
+
+
 def test_settings_of_a_learner() -> None:
     """They are set like any other, a profile shrinks MRN's interval, and what does not fit names its layer."""
     grid = {"tasks": ["button-press"], "methods": ["surf", "mrn"]}
@@ -157,7 +197,7 @@ def test_settings_of_a_learner() -> None:
     plan, laptop = make_plan(experiment, seeds="1"), make_plan(experiment, profile="laptop", seeds="1")
     surf, mrn = (config(plan, only(plan, name)).reward for name in ("surf", "mrn"))
     assert (surf.surf.threshold, mrn.mrn.every) == (0.9, 20_000)
-    assert config(laptop, only(laptop, "mrn")).reward.mrn.every == 10_000
+    assert config(laptop, only(laptop, "mrn")).reward.mrn.every == 4_000
     error = refused(experiment, overrides=["reward.surf.crop=30"])
     assert "reward.surf.crop: 30 steps more or less; 10 at the most" in str(error)
     assert "is set in --set" in str(error.hint)

@@ -189,9 +189,9 @@ def test_a_success_rate_with_less_feedback_is_the_last_one():
 def test_a_claim_about_one_step_can_be_judged_on_several_evaluations():
     """A score at a step is then the mean of the last ones; means over steps, and accuracies, are as ever."""
     values = np.array([[0.0, 0.2, 1.0, 0.6]] * 5)
-    told = {"success": values, "label_accuracy": values}
+    told = {"success": values, "true_accuracy": values}
     found = section("e", {("button-press", "pebble", "oracle", FULL): told}, steps=[100, 200, 300, 400])
-    accuracy = Reading(words="accuracy", measure="label_accuracy", unit="success")
+    accuracy = Reading(words="accuracy", measure="true_accuracy", unit="success")
     for reading, wanted in ((FINAL, 0.8), (BOX, 0.6), (MEAN, 0.45), (accuracy, 0.6)):
         tests = claim(*at_least(0.1, "pebble", reading=reading))
         (finding,) = judge(tests, {"e": found}, Statistics(replicates=300, last=2)).findings
@@ -199,10 +199,10 @@ def test_a_claim_about_one_step_can_be_judged_on_several_evaluations():
 
 
 def test_measured_columns_are_claimed_too():
-    """Accuracy of the labels after a tenth of the training, and whether prior or residual weighs more."""
+    """Agreement with the true reward after a tenth of the training, and whether prior or residual weighs more."""
     ramp = np.linspace(0, 1, 50)
     columns = {
-        "success": ramp, "label_accuracy": np.minimum(1.0, 0.5 + 6 * ramp),
+        "success": ramp, "true_accuracy": np.minimum(1.0, 0.5 + 6 * ramp),
         "prior_mean": np.full(50, -0.5), "residual_mean": 2 * ramp,
     }  # fmt: skip
     told = {name: np.tile(values, (5, 1)) for name, values in columns.items()}
@@ -211,7 +211,7 @@ def test_measured_columns_are_claimed_too():
     names = ("opposite-prior-first", "opposite-accuracy", "opposite-residual-last")
     assert [by_name[name].verdict for name in names] == ["held", "held", "held"]
     assert float(by_name["opposite-residual-last"].findings[0].estimate.estimate) == pytest.approx(1.5)
-    told["label_accuracy"][:, 4] = np.nan
+    told["true_accuracy"][:, 4] = np.nan
     broken = section("opposite-prior", {("button-press", "rrm-opposite", "oracle", FULL): told}, steps=STEPS)
     (accuracy,) = (each for each in CLAIMS if each.name == "opposite-accuracy")
     assert "is not measured" in judge(accuracy, {"opposite-prior": broken}, QUICK).deciding.why

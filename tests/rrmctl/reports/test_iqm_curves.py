@@ -76,6 +76,22 @@ def test_tasks_with_schedules_of_their_own_are_pooled():
     assert pooled["teacher"] == "oracle"
 
 
+def test_tasks_on_images_are_pooled_by_themselves():
+    """Their agents and heuristics are others: no mean holds both kinds, and each kind keeps its own methods."""
+    seen = {"pebble": RISING["oracle"], "rrm-penalty": RISING["rrm-proxy"]}
+    sweeps = (Sweep(tasks=("button-press", "door-open")), Sweep(seen, ("button-press-image", "sweep-into-image")))
+    frames = [sweep.frames() for sweep in sweeps]
+    (section,) = sections(*(pd.concat(pair, ignore_index=True) for pair in zip(*frames, strict=True)))
+    found = iqm_table(section, QUICK)
+    states, images = (f"{ALL_TASKS} on {what}" for what in ("states", "images"))
+    pooled = found[found["task"].str.startswith(ALL_TASKS)]
+    assert list(zip(pooled["task"], pooled["method"], strict=True)) == [
+        (states, "oracle"), (states, "pebble"), (states, "rrm-proxy"), (images, "pebble"), (images, "rrm-penalty")
+    ]  # fmt: skip
+    assert set(pooled["n"]) == {10}
+    assert row(found, "pebble", states)["iqm"] < row(found, "pebble", images)["iqm"]
+
+
 def test_a_method_missing_on_one_task_is_not_pooled():
     """A mean over fewer tasks than the others' is no comparison and does not appear."""
     keys = [("door-open", "pebble", seed) for seed in range(5)]
