@@ -41,9 +41,9 @@ EXPLAINED = (
     "cameras see the cube. Sim: the last evaluation of the training up to that step.",
     "Paper: 5 seeds x 20 episodes on a physical robot. In brackets: ours less the paper's, in percentage points.",
     "Checkpoint: of shorter trainings the same share of the training as the paper's, which stands in brackets.",
-    "Returns cannot be compared with the paper's: it does not say how long an episode is, how often the arm is commanded "
-    "and how high the hand stays in Reach, and its returns of Push and Pick-and-Reach are below zero, which sums of its "
-    "true reward cannot be.",
+    "Returns cannot be compared with the paper's: it does not say how long an episode is, how often the arm is "
+    "commanded, and how high the hand stays in Reach; and those of Push and Pick-and-Reach are below zero, which sums "
+    "of its true reward cannot be.",
 )
 
 IQM = estimated("iqm", "IQM")
