@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 FILE = "episodes.parquet"
 VERSION = 1
-_VERSION_KEY, _SOURCE_KEY = b"rrm.episodes_version", b"rrm.episodes_of"
+_VERSION_KEY, _SOURCE_KEY, _TIME_KEY = b"rrm.episodes_version", b"rrm.episodes_of", b"rrm.episodes_wall_s"
 _LARGEST = 1 << 28  # bytes
 _TYPES = {"str": "string", "int": "int64", "float": "float64", "bool": "bool_"}
 
@@ -28,6 +28,7 @@ class Record:
     path: Path
     source: str  #: stands for what was deployed where: episodes of another are refused
     episodes: dict[int, list[Episode]] = field(default_factory=dict)  #: of each step as played: 0, 1, 2 ...
+    wall_s: float = 0.0  #: time that playing them took, as far as it was told
 
     @classmethod
     def read(cls, path: Path, source: str | None = None) -> Self:
@@ -56,7 +57,7 @@ class Record:
         of = known.get(_SOURCE_KEY, b"").decode(errors="replace")
         if source not in (None, of):
             raise EpisodesError(f"{path} holds episodes of other networks, or at another workplace")
-        record = cls(path, of)
+        record = cls(path, of, wall_s=_seconds(known.get(_TIME_KEY, b"")))
         for row in table.to_pylist():
             record.episodes.setdefault(row.pop("step"), []).append(Episode(**row))
         if any(episode.number != at for played in record.episodes.values() for at, episode in enumerate(played)):
@@ -67,14 +68,25 @@ class Record:
         """Those of one policy, in the order of their numbers."""
         return self.episodes.get(step, [])
 
-    def add(self, step: int, episode: Episode) -> None:
+    def add(self, step: int, episode: Episode, took_s: float = 0.0) -> None:
         """Take one, durably on return. An `OSError` names the file."""
         import pyarrow as pa
 
+        self.wall_s += took_s
         self.episodes.setdefault(step, []).append(episode)
         rows = [{"step": at} | asdict(each) for at, played in sorted(self.episodes.items()) for each in played]
-        schema = _schema().with_metadata({_VERSION_KEY: str(VERSION), _SOURCE_KEY: self.source})
+        about = {_VERSION_KEY: str(VERSION), _SOURCE_KEY: self.source, _TIME_KEY: f"{self.wall_s:.3f}"}
+        schema = _schema().with_metadata(about)
         write_table(self.path, pa.Table.from_pylist(rows, schema=schema))
+
+
+def _seconds(text: bytes) -> float:
+    """Those that a file tells; 0 where it tells none."""
+    try:
+        seconds = float(text)
+    except ValueError:
+        return 0.0
+    return seconds if 0.0 <= seconds < float("inf") else 0.0
 
 
 def _schema() -> pa.Schema:

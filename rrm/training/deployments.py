@@ -99,18 +99,19 @@ def deploy_kept(config: DeploymentConfig, folder: Path, monitor: Monitor, result
     monitor.restored([summary(step, record.of(step)) for step in config.checkpoints if step not in steps])
     if not steps:
         return True
-    laboratory = Laboratory(config.rig)
+    laboratory, began = Laboratory(config.rig), time.monotonic()
     for step in steps:
-        began, before = time.monotonic(), max((other for other in config.checkpoints if other < step), default=0)
+        before = max((other for other in config.checkpoints if other < step), default=0)
         networks = result_of(results, config.policy.identity, kept_networks(step, config.policy.steps))
         attend = _Attention(monitor, before)
         for episode in laboratory.play(config.policy, networks, len(record.of(step)), due, attend):
             with monitor.writing():
-                record.add(step, episode)
+                record.add(step, episode, (now := time.monotonic()) - began)
+            began = now
             attend.step = before + (step - before) * (episode.number + 1) // due
         if len(record.of(step)) < due:
             return False
-        monitor.row(summary(step, record.of(step), time.monotonic() - began))
+        monitor.row(summary(step, record.of(step), record.wall_s))
     return True
 
 

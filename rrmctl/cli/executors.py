@@ -201,14 +201,16 @@ def _drive(work: Work, executor: Executor, slots: int, on_cards: Collection[str]
     """
     from rrmctl.cli.live import Bars, Lines
     from rrmctl.running.supervisor import Supervisor
+    from rrmctl.store.sweeps import deployments_first
 
     console, layout, assigned, sweeps = work
     watched = sys.stderr.isatty() and not console.is_dumb_terminal
     watcher = (Bars if watched else Lines)(console, layout, list(assigned), experiments(sweeps))
     with watcher.progress if isinstance(watcher, Bars) else contextlib.nullcontext():
         return Supervisor(
-            layout=layout, jobs=list(assigned), terms={job.id: terms for job, terms in assigned.items()}, slots=slots,
-            watcher=watcher, executor=executor, on_cards=on_cards, places=places, asked=["rrmctl", *sys.argv[1:]],
+            layout=layout, jobs=deployments_first(assigned, sweeps), slots=slots,
+            terms={job.id: terms for job, terms in assigned.items()}, watcher=watcher, executor=executor,
+            on_cards=on_cards, places=places, asked=["rrmctl", *sys.argv[1:]],
         ).run()  # fmt: skip
 
 

@@ -14,6 +14,7 @@ from rrm.errors import RrmError
 from rrmctl.cli.screen import tell
 from rrmctl.commands import rrmctl, run_commands
 from rrmctl.errors import Exit, UserError, room_error
+from rrmctl.labels import policy
 
 if TYPE_CHECKING:
     from rrmctl.store.layout import Layout
@@ -93,20 +94,22 @@ def _lost(layout: Layout, sweeps: Iterable[SweepRecord], status_of: Mapping[str,
     """The experiment, and a line for each run that is done and whose curve is not all there."""
     from rrmctl.store.curve import lost_rows
 
-    jobs = {job.id: (sweep, job) for sweep in sweeps for job in sweep.jobs}
+    jobs = {job.id: (sweep, job) for sweep in sweeps for job in (*sweep.jobs, *sweep.deployments)}
     for sweep, job in jobs.values():
         status = status_of[job.id]
         if status.state == "done" and (problem := lost_rows(layout.run(job.id), status)) is not None:
-            again = f"Bring the file back, or train it again: {rerun_command(layout, sweep, job)}"
+            again = f"Bring the file back, or make it again: {rerun_command(layout, sweep, job)}"
             yield sweep.experiment, f"{job.label} is done, but {problem}. {again}"
 
 
 def rerun_command(layout: Layout, sweep: SweepRecord, job: Job) -> str:
-    """The command that trains this run again, and no other."""
-    wanted = (job.task, job.method, job.seed)
+    """The command that makes this run again, and no other."""
+    wanted = (job.task, policy(job.method), job.seed)
     alone = sum((other.task, other.method, other.seed) == wanted for other in sweep.jobs) == 1
+    alone = alone and job not in sweep.deployments
     (command,) = _commands(layout, sweep, [job], ["--force"] if alone else [])
-    # No option tells runs apart that differ in teacher or feedback alone: the one that is gone is the one that runs.
+    # No option tells runs apart that differ in teacher or feedback alone, or a deployment from what it deploys: the one
+    # that is gone is the one that runs.
     return command if alone else f"rm -r {shlex.quote(str(layout.run(job.id).path))} && {command}"
 
 
@@ -132,7 +135,7 @@ def _commands(layout: Layout, sweep: SweepRecord, jobs: Sequence[Job], options: 
 
     commands = [asked_by(layout.run(job.id)) for job in sweep.jobs]
     commands.append([sweep.experiment, *(word for prior in sweep.priors for word in ("--prior", prior))])
-    wanted = [(job.task, job.method, job.seed) for job in jobs]
+    wanted = [(job.task, policy(job.method), job.seed) for job in jobs]
     return run_commands(
         sweep.experiment, sweep.profile, sweep.overrides, wanted, asked=commands, options=options, results=layout.root
     )

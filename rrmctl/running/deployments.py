@@ -8,17 +8,18 @@ import json
 from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any, Self, cast
 
 import numpy as np
 
 from rrm.envs.tasks import require
 from rrm.errors import ConfigError, EpisodesError, NumericalError, RobotError
+from rrm.robot.config import RigConfig
 from rrm.robot.deployment import Episode, rules_of
 from rrm.robot.record import Record
 from rrm.training.kinds import kept_networks
 from rrmctl.errors import Exit, UserError
-from rrmctl.running.config_file import load_run
+from rrmctl.running.config_file import load_config, load_run
 from rrmctl.stats.agreement import share
 from rrmctl.store.files import (
     PATIENCE_S,
@@ -29,12 +30,13 @@ from rrmctl.store.files import (
     storing,
     unreadable,
 )
+from rrmctl.store.layout import Layout, RunFolder
 from rrmctl.store.status import RunState, run_status
+from rrmctl.store.sweeps import readable_sweeps
 
 if TYPE_CHECKING:
-    from rrm.robot.config import RigConfig
+    from rrm.training.kinds import DeploymentConfig
     from rrm.training.run_config import RunConfig
-    from rrmctl.store.layout import RunFolder
 
 
 @dataclass(frozen=True)
@@ -58,7 +60,7 @@ class Deployment:
         rules_of(config.task)
         if config.action_repeat > 1:
             raise ConfigError(f"run {folder.id} has action_repeat {config.action_repeat}; an arm is told at every step")
-        rig = config.deploy.rig.model_copy(update=settings)
+        rig = own_rig(folder).model_copy(update=settings)
         step, networks = kept_policy(folder, config.steps, checkpoint)
         content = {
             "networks": hashlib.sha256(read_bytes(networks) or b"").hexdigest(),  # whoever plays says that it is gone
@@ -112,6 +114,17 @@ class Deployment:
             failure = UserError(str(error), "what was played before stays; the same command goes on")
             failure.code = Exit.FAILED
             raise failure from error
+
+
+def own_rig(folder: RunFolder) -> RigConfig:
+    """The workplace at which its sweep deploys a run, where that is one; else the usual one. What a run is does not
+    depend on it, so that its own configuration does not tell.
+    """
+    layout, rigs = Layout(folder.results), []
+    for job in (job for sweep in readable_sweeps(layout)[0] for job in sweep.deployments):
+        if folder.id in job.requires and layout.run(job.id).config.exists():
+            rigs.append(cast("DeploymentConfig", load_config(layout.run(job.id))).rig)
+    return rigs[0] if rigs and all(rig == rigs[0] for rig in rigs) else RigConfig()
 
 
 def kept(folder: RunFolder) -> list[int]:

@@ -28,7 +28,7 @@ from rrm.training.deployments import Laboratory
 from rrm.training.episodes import Policy, expert_policy, play
 from rrmctl.errors import UserError
 from rrmctl.running.config_file import load_run
-from rrmctl.running.deployments import kept_policy
+from rrmctl.running.deployments import kept_policy, own_rig
 from rrmctl.store.files import storing
 
 if TYPE_CHECKING:
@@ -73,7 +73,7 @@ def film(folder: RunFolder, path: Path, checkpoint: int | None, episode: int, *,
     with scratch:
         reel = _Reel(Path(scratch.name) / f"film{ending}", title)
         if cameras:
-            words = _deployed(reel, config, networks, episode)
+            words = _deployed(reel, config, networks, episode, own_rig(folder))
         else:
             seed = evaluation_seed(config.seed, step, episode)
             words = _played(reel, config, expert_policy(config, networks), seed)
@@ -154,9 +154,9 @@ def _stands(total: float, success: float) -> str:
     return f"return {total:.1f}{said}"
 
 
-def _deployed(reel: _Reel, config: RunConfig, networks: Path, episode: int) -> str:
-    """At the simulated workplace."""
-    laboratory = Laboratory(config.deploy.rig)
+def _deployed(reel: _Reel, config: RunConfig, networks: Path, episode: int, rig: RigConfig) -> str:
+    """At a simulated workplace."""
+    laboratory = Laboratory(rig)
 
     def connect(rig: RigConfig) -> Rig:
         return _WatchedRig(rig, reel, laboratory.cameras, config.episode_steps)

@@ -127,7 +127,7 @@ class Child:
                     message = None
                 match message:
                     case {"event": str(name), **fields} if name in _EVENTS:
-                        events.append(_EVENTS[name](self.job, **fields))  # type: ignore[arg-type]  # JSON's keys are texts
+                        events.append(self._event(name, fields, line))
                     case {"event": "error", "kind": kind, "type": name, "message": text}:
                         self._error = RunError(kind=ErrorKind(kind), type=name, message=text)
                     case {"event": _}:
@@ -135,6 +135,12 @@ class Child:
                     case _:  # passed on for people to read rather than end the sweep
                         events.append(Note(self.job, repr(line)))
         return events
+
+    def _event(self, name: str, fields: Mapping[object, Any], line: bytes) -> Event:
+        try:
+            return _EVENTS[name](self.job, **fields)  # type: ignore[arg-type]  # JSON's keys are texts
+        except TypeError:  # of a worker whose code is another by now
+            return Note(self.job, repr(line))
 
     def close(self) -> None:
         """Stop listening."""
@@ -188,6 +194,9 @@ class Child:
     def outcome(self, *, stopping: bool) -> Outcome:
         """How the attempt ended, once it has; where `stopping`, it may have been ended for taking too long."""
         code = self._process.returncode
+        if code == WorkerExit.STOPPED and not stopping:
+            reason = "it was asked to leave by somebody else, and is checkpointed"
+            return Outcome(Stage.FAILED, RunError(kind=ErrorKind.KILLED, type="Stopped", message=reason))
         if code in _ENDINGS:
             return Outcome(_ENDINGS[code])
         if self._error is None and stopping and -code in (signal.SIGKILL, signal.SIGTERM):

@@ -38,6 +38,10 @@ RETRIED = frozenset({ErrorKind.CRASHED, ErrorKind.KILLED, ErrorKind.HUNG, ErrorK
 #: So many times as often is a job tried again that somebody killed: that is not its fault.
 KILLED_RETRIES = 50
 
+#: After so many jobs in a row whose workers crashed before they took them up nothing starts any more: the program
+#: itself is broken, and would use up the attempts of all others within minutes.
+STILLBORN = 3
+
 
 class Scheduler:
     """The jobs of one command.
@@ -70,6 +74,8 @@ class Scheduler:
         self._retries = retries
         self._crashes: Counter[str] = Counter()
         self._kills: Counter[str] = Counter()
+        self._taken_up: set[str] = set()  # in this attempt
+        self._stillborn: set[str] = set()  # since the last that was taken up
         self._rows: dict[str, int] = {}
         self._running: set[str] = set()
         self._elsewhere: set[str] = set()
@@ -89,10 +95,13 @@ class Scheduler:
         """The job `next` named is running."""
         self._queue.remove(job)
         self._running.add(job)
+        self._taken_up.discard(job)
         self._stages[job] = Stage.RUNNING
 
     def resumed(self, job: str, rows: int) -> None:
         """The attempt began with so many evaluations; more than the one before it forgives earlier crashes."""
+        self._taken_up.add(job)
+        self._stillborn.clear()
         if rows > self._rows.get(job, 0):
             self._crashes[job] = self._kills[job] = 0
         self._rows[job] = rows
@@ -122,6 +131,11 @@ class Scheduler:
             return Stage.STOPPED  # others may have what they need
         if error.kind not in RETRIED:
             return Stage.FAILED
+        if error.kind is ErrorKind.CRASHED and job not in self._taken_up:
+            self._stillborn.add(job)
+            if len(self._stillborn) >= STILLBORN:
+                self.stop()
+                return Stage.STOPPED
         killed = error.kind is ErrorKind.KILLED
         count, most = (self._kills, KILLED_RETRIES * self._retries) if killed else (self._crashes, self._retries)
         count[job] += 1

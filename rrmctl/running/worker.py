@@ -230,7 +230,7 @@ def _report(folder: RunFolder, error: Exception, pipe: Pipe, lease: Lease | None
 
 
 def _reason(folder: RunFolder, error: Exception) -> tuple[WorkerExit, ErrorKind, str]:
-    from rrm.errors import MissingResultError, RrmError, WaitingError
+    from rrm.errors import MissingResultError, RenderingError, RobotError, RrmError, WaitingError
 
     message = f"{error} ({hint})" if (hint := getattr(error, "hint", None)) else str(error)
     match error:
@@ -243,6 +243,8 @@ def _reason(folder: RunFolder, error: Exception) -> tuple[WorkerExit, ErrorKind,
             return WorkerExit.MISSING, ErrorKind.MISSING, message
         case files.DamagedError() | MissingResultError():  # others make it again
             return WorkerExit.REFUSED, ErrorKind.DAMAGED, message
+        case RenderingError() | RobotError():
+            pass  # there was one when the run was planned, and may be again
         case UserError() | RrmError():
             return WorkerExit.REFUSED, ErrorKind.REFUSED, message
     if (told := _card_full(error)) is None:

@@ -111,6 +111,14 @@ def deployments_of(jobs: Iterable[Job], deployments: Iterable[Job]) -> tuple[Job
     return tuple(deployment for deployment in deployments if runs.issuperset(deployment.requires))
 
 
+def deployments_first(jobs: Iterable[Job], sweeps: Iterable[SweepRecord]) -> list[Job]:
+    """The order in which they start where several can: a deployment takes minutes and shows what the hours before it
+    were worth, so it does not wait for other runs.
+    """
+    deployments = {job for sweep in sweeps for job in sweep.deployments}
+    return sorted(jobs, key=lambda job: job not in deployments)
+
+
 def write_sweep(path: Path, sweep: SweepRecord) -> None:
     """Superseded jobs stand before what replaced them."""
     order = {job.place: at for at, job in enumerate(sweep.jobs)}

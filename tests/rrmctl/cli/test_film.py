@@ -269,9 +269,8 @@ def test_what_the_cameras_of_the_workplace_see(tmp_path):
     """Both side by side, with green around the markers; it is the episode that `deploy` plays, undisturbed."""
     run = untrained(tmp_path, "panda-push")
     config = settings(run)
-    config = config.model_copy(update={"deploy": config.deploy.model_copy(update={"rig": SMALL})})
     reel = _Reel(tmp_path / "film.webm", ("an arm",))
-    said = _deployed(reel, config, run.model, 1)
+    said = _deployed(reel, config, run.model, 1, SMALL)
     reel.developed()
     (alone,) = Laboratory(SMALL).play(config, run.model, 1, 2, lambda: False)
     assert said == f"return {alone.total:.1f}, {'success' if alone.success else 'no success'}"

@@ -10,8 +10,12 @@ from rrm.training.run_config import RunConfig
 from rrmctl.errors import UserError
 from rrmctl.planning.manifest import load, parse
 from rrmctl.planning.plan import make_plan
+from rrmctl.running.config_file import config_content
+from rrmctl.running.deployments import own_rig
+from rrmctl.running.scheduler import Outcome, Scheduler, Stage
 from rrmctl.store.layout import Layout
-from rrmctl.store.sweeps import SweepRecord, deployments_of, read_sweep, record_sweep
+from rrmctl.store.provenance import record_config
+from rrmctl.store.sweeps import SweepRecord, deployments_first, deployments_of, read_sweep, record_sweep
 
 MANIFEST = load(Path(__file__).parents[3] / "experiments" / "sim-to-real.toml")
 ONE = {"tasks": ["panda-reach"], "methods": ["pebble"], "seeds": "1"}
@@ -88,6 +92,35 @@ def test_an_arm_does_its_own_tasks_alone():
 
 def recorded(asked):
     return SweepRecord(**{name: getattr(asked, name) for name in SweepRecord.__dataclass_fields__})
+
+
+def test_a_deployment_starts_as_soon_as_its_policies_are_there():
+    """Not behind the trainings of other seeds, which take hours."""
+    asked = recorded(plan(seeds="3"))
+    scheduler = Scheduler(
+        [job.id for job in deployments_first(asked.everything, [asked])], slots=1,
+        requires={job.id: job.requires for job in asked.everything},
+    )  # fmt: skip
+    started = []
+    while (job := scheduler.next()) is not None:
+        scheduler.start(job)
+        scheduler.end(job, Outcome(Stage.DONE))
+        started.append(job)
+    runs, after = ([job.id for job in jobs] for jobs in (asked.jobs, asked.deployments))
+    assert started == [each for pair in zip(runs, after, strict=True) for each in pair]
+
+
+def test_a_run_is_deployed_by_hand_where_its_sweep_deploys_it(tmp_path):
+    """Its own configuration does not tell; of two workplaces neither is its own, and without any it is the usual."""
+    layout = Layout(tmp_path)
+    for settings, expected in (((), 0.7), (("deploy.rig.blur=2",), 2.0), (("deploy.rig.blur=3",), 0.7)):
+        asked = plan(*settings)
+        (job,) = asked.jobs
+        if settings:
+            record_sweep(layout, recorded(asked))
+            for each in asked.everything:
+                record_config(layout.run(each.id), config_content(asked.configs[each.id]))
+        assert own_rig(layout.run(job.id)).blur == expected
 
 
 def test_a_record_keeps_deployments_of_what_it_asks_for(tmp_path):

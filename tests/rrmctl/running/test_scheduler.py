@@ -90,6 +90,23 @@ def test_a_mistake_is_not_tried_again() -> None:
     assert scheduler.exit_code() is Exit.FAILED
 
 
+def test_a_broken_program_costs_no_job() -> None:
+    """Three jobs in a row that were not even taken up end the command, not the jobs; one by itself fails as ever."""
+    scheduler = Scheduler("abcdef", slots=2)
+    for job in "ab":
+        start_all(scheduler)
+        assert scheduler.end(job, failed(ErrorKind.CRASHED)) is Stage.WAITING
+    start_all(scheduler)
+    scheduler.resumed("c", 0)
+    assert scheduler.end("c", failed(ErrorKind.CRASHED)) is Stage.WAITING
+    assert not scheduler.stopping
+    for job, stage in zip("def", (Stage.WAITING, Stage.WAITING, Stage.STOPPED), strict=True):
+        start_all(scheduler)
+        assert scheduler.end(job, failed(ErrorKind.CRASHED)) is stage
+    assert scheduler.stopping
+    assert scheduler.exit_code() is Exit.INCOMPLETE
+
+
 def test_progress_forgives_crashes() -> None:
     """A job that keeps crashing but comes further every time is never given up; one that repeats itself is."""
     scheduler = Scheduler("a", slots=1)

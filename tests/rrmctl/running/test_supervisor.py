@@ -220,22 +220,44 @@ def test_running_a_finished_sweep_again_does_nothing(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_killed_worker_costs_one_attempt_and_no_other_job(tmp_path: Path, behave: Callable[..., None]) -> None:
-    """SIGKILL in the middle: that run goes on from its checkpoint, the others never notice, no row is lost."""
+@pytest.mark.parametrize(
+    ("number", "error", "step"),
+    [
+        (signal.SIGKILL, "SIGKILL: killed by signal 9 from outside", 20),
+        (signal.SIGTERM, "Stopped: it was asked to leave by somebody else, and is checkpointed", 25),
+    ],
+)
+def test_a_killed_worker_costs_one_attempt_and_no_other_job(
+    tmp_path: Path, behave: Callable[..., None], number: signal.Signals, error: str, step: int
+) -> None:
+    """Killed or asked to leave: that run goes on from its checkpoint, the others never notice, no row is lost."""
     behave(other="gate")
     layout, assigned = prepare(tmp_path, range(3))
 
     def kill() -> None:
-        os.kill(half_way(layout, assigned)[1], signal.SIGKILL)
+        os.kill(pid := half_way(layout, assigned)[1], number)
+        until(lambda: not alive(pid))
         go(layout)
 
     watcher = Record()
     with meanwhile(kill):
         assert pool(layout, assigned, watcher).run() is Exit.DONE
     assert attempts(layout, assigned) == [1, 2, 1]
-    assert watcher.errors == ["SIGKILL: killed by signal 9 from outside"]
-    assert "from step 20" in watcher.notes
+    assert watcher.errors == [error]
+    assert f"from step {step}" in watcher.notes
     assert rows(tmp_path) == expected(range(3))
+
+
+def test_a_program_that_is_broken_fails_no_run(tmp_path: Path) -> None:
+    """Workers that end before they take a run up, whichever it is: nothing is started any more, and nothing is lost."""
+    layout, assigned = prepare(tmp_path, range(20))
+    watcher = Record()
+    command = (sys.executable, "-c", "raise ImportError('half written')")
+    assert pool(layout, assigned, watcher, command=command).run() is Exit.INCOMPLETE
+    assert set(states(layout, assigned)) == {RunState.QUEUED}
+    assert set(watcher.errors) == {"Exit: left with exit code 1"}
+    assert len(watcher.errors) < 6
+    assert pool(layout, assigned).run() is Exit.DONE
 
 
 @pytest.mark.parametrize(
@@ -322,7 +344,7 @@ def test_a_system_that_starts_no_process_is_waited_for(tmp_path: Path) -> None:
 
     working = pool(layout, assigned, watcher)
     with meanwhile(relent):
-        resource.setrlimit(resource.RLIMIT_NOFILE, (len(list(Path("/proc/self/fd").iterdir())) + 4, limits[1]))
+        resource.setrlimit(resource.RLIMIT_NOFILE, (len(list(Path("/proc/self/fd").iterdir())) + 2, limits[1]))
         assert working.run() is Exit.DONE
     assert all("Too many open files; trying again" in note for note in watcher.notes[:2])
     assert attempts(layout, assigned) == [1, 1]

@@ -16,6 +16,7 @@ import pytest
 from rrm import devices
 from rrm.config import ConfigSection, FeedbackConfig, ImitationConfig, RewardConfig
 from rrm.envs.tasks import TASKS, Task
+from rrm.errors import RenderingError, RobotError
 from rrm.training.kinds import JOBS, JobKind
 from rrm.training.run_config import RunConfig
 from rrm.tuning import OTHERWISE
@@ -239,6 +240,22 @@ def test_a_run_of_another_version_is_refused_and_left_as_it_is(
     monkeypatch.setattr(records, "SCHEMA_VERSION", 2)
     assert work(folder) is WorkerExit.REFUSED
     assert content() == before
+
+
+@pytest.mark.parametrize("error", [RenderingError("nothing here draws"), RobotError("episode 3, 3 times in a row")])
+def test_what_may_be_back_is_tried_again(folder: RunFolder, error: Exception) -> None:
+    """OpenGL and a rig that were there when the run began: no failure yet, and the run goes on when they are back."""
+
+    class Without(Trainer):
+        def perform(self, *_arguments: object) -> bool:
+            raise error
+
+    assert main([str(folder.path.parents[1]), folder.id], Without()) is WorkerExit.CRASHED
+    status = read_status(folder)
+    assert status.error is not None
+    assert (status.state, status.error.kind) == (RunState.INTERRUPTED, ErrorKind.CRASHED)
+    assert str(status.error) == f"{type(error).__name__}: {error}"
+    assert work(folder) is WorkerExit.DONE
 
 
 @pytest.mark.parametrize("name", ["status.json", "curve.parquet", "provenance.json"])
