@@ -29,6 +29,7 @@ PRECISION = "precision"
 DEVICE = "device"
 CARD = "card"
 TRUE_REWARD = "true reward on fixed states"
+RENDERER = "renderer"
 
 #: What belongs to a method, as its readers are told: it may differ between methods, and not within one.
 _OF_METHODS = (DEVICE, CARD, PRECISION)
@@ -82,15 +83,16 @@ def mixture(section: Section, makings: Mapping[str, Making]) -> Mixture:
     """What differs among the runs of a section and must not.
 
     A method's device, its card and its precision are part of what the method is, so they are compared among the runs of
-    one method; the true reward among those of one task; everything else among all. What was deployed may have been
-    trained elsewhere: policies are compared with policies, deployments with deployments.
+    one method; the true reward and what draws the pictures among those of one task; everything else among all. What was
+    deployed may have been trained elsewhere: policies are compared with policies, deployments with deployments.
     """
     values: dict[str, dict[str, list[Made]]] = defaultdict(lambda: defaultdict(list))
     for group, among in ((section.series, ""), (section.deployments, _DEPLOYED)):
         for made in _runs(group):
             for fact, value in makings[made.run].facts.items():
                 of_method = dict.fromkeys(_OF_METHODS, f" of {made.label.method}")
-                scope = {**of_method, TRUE_REWARD: f" of {made.label.task}"}.get(fact, among)
+                of_task = dict.fromkeys((TRUE_REWARD, RENDERER), f" of {made.label.task}")
+                scope = (of_method | of_task).get(fact, among)
                 values[fact + scope][value].append(made)
     return {fact: dict(sorted(runs.items())) for fact, runs in values.items() if len(runs) > 1}
 
@@ -125,11 +127,27 @@ def remarks(section: Section, makings: Mapping[str, Making]) -> Iterator[str]:
         if len(methods) > 1:
             which = "; ".join(f"{value}: {', '.join(names)}" for value, names in sorted(methods.items()))
             yield f"Methods differ in {fact}: {which}."
+    yield from _unlike_agents(section.series, makings)
     trained, deployed = (_values(group, makings) for group in (section.series, section.deployments))
     for fact in sorted(deployed.keys() & trained.keys() - {*_OF_METHODS, TRUE_REWARD}):
         if deployed[fact] - trained[fact]:
             there, then = (", ".join(sorted(values[fact])) for values in (trained, deployed))
             yield f"Policies were trained with {fact} {there} and deployed with {then}."
+
+
+def _unlike_agents(series: Iterable[Series], makings: Mapping[str, Making]) -> Iterator[str]:
+    """Where agents of one kind and task have several values of a setting: a profile has changed between two sweeps,
+    say. What some configurations do not have, as they are older, is not known and not compared.
+    """
+    agents: dict[tuple[str, str], list[Mapping[str, Any]]] = defaultdict(list)
+    for made in _runs(series):
+        config = makings[made.run].config
+        if (agent := config.get("agent")) is not None:
+            agents[made.label.task, agent.get("kind", "sac")].append(agent)
+    for (task, _), of_task in agents.items():
+        shared = [key for key in of_task[0] if all(key in agent for agent in of_task)]
+        if unlike := [key for key in shared if any(agent[key] != of_task[0][key] for agent in of_task)]:
+            yield f"Runs of {task} differ in settings of their agents: {', '.join(unlike)}."
 
 
 def _values(series: Iterable[Series], makings: Mapping[str, Making]) -> Mapping[str, set[str]]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections import Counter, defaultdict
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import groupby
 from typing import TYPE_CHECKING, Any
@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 from rrmctl.errors import UserError
 from rrmctl.labels import NOTHING_ASKED, Label
 from rrmctl.reports.columns import Column, Row, TextGrid
-from rrmctl.reports.series import Section
+from rrmctl.reports.series import Absent, Section
 from rrmctl.reports.statistics import BOOTSTRAP_SEED, SURE, Statistics
 from rrmctl.stats import MIN_RUNS, REPLICATES
 from rrmctl.store.frame import frame
@@ -140,10 +140,7 @@ def absent_notes(section: Section, *, short: bool = False) -> Iterator[str]:
         (series.label.task, *series.label[2:]) for series in section.series if series.label.teacher != NOTHING_ASKED
     }
     several = {task for task, count in Counter(task for task, *_ in asking).items() if count > 1}
-    by_state: dict[str, dict[Label, list[int]]] = defaultdict(lambda: defaultdict(list))
-    for absent in section.absent:
-        by_state[absent.state][absent.label].append(absent.seed)
-    for state, by_label in by_state.items():
+    for state, by_label in _by_state(section.absent).items():
         alike: dict[tuple[str, str], list[str]] = defaultdict(list)
         for label, seeds in by_label.items():
             place = label.place if label.task in several else label.task
@@ -155,6 +152,23 @@ def absent_notes(section: Section, *, short: bool = False) -> Iterator[str]:
     early = [f"{s.label} up to step {s.steps[-1]:,}" for s in section.series if s.n and not s.finished]
     if early:
         yield f"Under way, read as far as all of their runs have come: {'; '.join(early)}."
+
+
+def undeployed_notes(section: Section) -> Iterator[str]:
+    """How many of the planned deployments there are, where that is not all, and which are not there."""
+    if section.undeployed:
+        planned = sum(series.planned for series in section.deployments)
+        yield f"{planned - len(section.undeployed)} of {planned} planned deployments."
+    for state, by_label in _by_state(section.undeployed).items():
+        yield f"Not contained, {state}: {'; '.join(f'{label}: {_seeds(seeds)}' for label, seeds in by_label.items())}."
+
+
+def _by_state(absences: Iterable[Absent]) -> Mapping[str, Mapping[Label, list[int]]]:
+    """The seeds that are absent of each label, by the state that they are in."""
+    by_state: dict[str, dict[Label, list[int]]] = defaultdict(lambda: defaultdict(list))
+    for absent in absences:
+        by_state[absent.state][absent.label].append(absent.seed)
+    return by_state
 
 
 def _seeds(seeds: Sequence[int]) -> str:

@@ -78,14 +78,19 @@ def sections_of(store: Snapshot, *, allow_mixed: bool = False) -> tuple[Section,
     return tuple(sections)
 
 
-def of_profile(sections: Sequence[Section], profile: str | None) -> tuple[Section, ...]:
+def of_profile(sections: Sequence[Section], profile: str | None, *, apart: bool = False) -> tuple[Section, ...]:
     """The sections of this profile, some of which have a run or people's answers to show; of all profiles for None.
+
+    Args:
+        apart: whoever reads them deals with one whose runs do not belong together, where there are others.
 
     Raises:
         UserError: there is none, the message says what is there instead; or the runs of one do not belong together.
     """
     check_profile(profile, (section.profile for section in sections))
-    chosen = [section.accepted() for section in sections if profile in (None, section.profile)]
+    chosen = [section for section in sections if profile in (None, section.profile)]
+    if not apart or all(section.refusal for section in chosen):
+        chosen = [section.accepted() for section in chosen]
     if not any(section.contained or section.answered for section in chosen):
         which = ", ".join(dict.fromkeys(section.experiment for section in chosen))
         states = Counter(absent.state for section in chosen for absent in section.absent)
@@ -100,13 +105,19 @@ def of_profile(sections: Sequence[Section], profile: str | None) -> tuple[Sectio
 
 
 def sections_for(
-    results: str | Path, experiments: Sequence[str], profile: str | None = None, *, allow_mixed: bool = False
+    results: str | Path,
+    experiments: Sequence[str],
+    profile: str | None = None,
+    *,
+    allow_mixed: bool = False,
+    apart: bool = False,
 ) -> tuple[Section, ...]:
     """What a table or figure of these experiments is made of: `of_profile` of those that the store has, or of all of it
     where it has none of several, or none is asked for. Others may hold runs that do not belong together.
     """
     found = read_sections(results, *(experiments if len(experiments) == 1 else ()), allow_mixed=allow_mixed)
-    return of_profile([section for section in found if section.experiment in experiments] or found, profile)
+    chosen = [section for section in found if section.experiment in experiments]
+    return of_profile(chosen or found, profile, apart=apart)
 
 
 def sections(
@@ -151,15 +162,16 @@ def _split(
         for label in sorted(labels, key=lambda label: (tasks.index(label.task), methods.index(label.method))):
             planned, own = (_where(table, Label._fields, label) for table in (jobs, rows))
             series.append(_series(label, own, makings, problems, refusals, planned=len(planned)))
-            states = planned[["seed", "run", "state"]].itertuples(index=False, name=None)
-            absent += [Absent(label, *planned_run) for planned_run in states if planned_run[1] not in series[-1].runs]
-        deployments = []
+            absent += _absent(planned, series[-1])
+        deployments: list[Series] = []
+        undeployed: list[Absent] = []
         if after is not None:
             rows_after, jobs_after = (_where(table, _VARIANT, (experiment, variant)) for table in after)
             after_jobs = (Label(*names) for names in _distinct(jobs_after, *Label._fields))
             for label in (label for label in after_jobs if label.method != policy(label.method)):
                 planned, own = (_where(table, Label._fields, label) for table in (jobs_after, rows_after))
                 deployments.append(_series(label, own, makings, problems, refusals, planned=len(planned)))
+                undeployed += _absent(planned, deployments[-1])
         used = rows[rows["run"].isin([run for one in series for run in one.runs])]
         protocols = [
             _protocol(episodes, evaluation.get(cell)) for cell, episodes in _distinct(used, "cell", "episodes")
@@ -169,8 +181,14 @@ def _split(
             experiment=experiment, profile=str(first["profile"]), variant=variant,
             overrides=json.loads(first["overrides"]), series=tuple(series), absent=tuple(absent),
             planned=int(jobs["run"].nunique()), evaluation=tuple(dict.fromkeys(protocols)), problems=tuple(problems),
-            refusal=next(iter(refusals), None), deployments=tuple(deployments),
+            refusal=next(iter(refusals), None), deployments=tuple(deployments), undeployed=tuple(undeployed),
         )  # fmt: skip
+
+
+def _absent(planned: pd.DataFrame, series: Series) -> Iterator[Absent]:
+    """What was planned of a series and is not in it."""
+    states = planned[["seed", "run", "state"]].itertuples(index=False, name=None)
+    return (Absent(series.label, *planned_run) for planned_run in states if planned_run[1] not in series.runs)
 
 
 def _where(table: pd.DataFrame, columns: Sequence[str], values: Sequence[str]) -> pd.DataFrame:

@@ -26,7 +26,7 @@ SCORE_COLUMN: dict[ScoreKind, str] = {"success": "success", "return": "true_retu
 
 
 class Absent(NamedTuple):
-    """A planned run that is not in its series."""
+    """A planned run, or deployment, that is not in its series."""
 
     label: Label
     seed: int
@@ -99,9 +99,14 @@ class Panel:
 
     def read_at(self) -> CommonStep:
         """The step at which the methods are compared: the paper's rule for success, the last one for returns."""
-        steps, rivals = self.steps(), [series for series in self.present() if not knows(series.label.method)]
-        success = {series.label.method: at_steps(series, steps) for series in rivals if self.score == "success"}
-        return common_step(steps, success)
+        return common_step(self.steps(), self.rivals())
+
+    def rivals(self) -> dict[str, Floats]:
+        """Success at the common steps, [S, T], of the methods whose first arrival at 100 % says where one reads: of
+        none where returns are compared.
+        """
+        rivals = [series for series in self.present() if not knows(series.label.method)]
+        return {one.label.method: at_steps(one, self.steps()) for one in rivals if self.score == "success"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,6 +128,7 @@ class Section:
     trial: Trial | None = None  #: the rules of the sequential test that was begun on it
     source: Layout | None = None  #: the store it was read from, for what runs leave beside their curves
     deployments: tuple[Series, ...] = ()  #: of its policies, a step for each that was deployed; in no comparison
+    undeployed: tuple[Absent, ...] = ()  #: planned deployments that are in none of those
 
     def accepted(self) -> Section:
         """The section, where its runs belong together; else the error says why they do not."""

@@ -7,13 +7,14 @@ the cube. Interquartile means over seeds.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from rrm.envs.tasks import ScoreKind
+from rrmctl.labels import policy
 from rrmctl.planning.profiles import PAPER
 from rrmctl.reports import published
 from rrmctl.reports.columns import (
@@ -29,7 +30,7 @@ from rrmctl.reports.columns import (
     number,
     pivoted,
 )
-from rrmctl.reports.report import Report, section_report, some
+from rrmctl.reports.report import Report, section_report, some, undeployed_notes
 from rrmctl.reports.scores import score
 from rrmctl.reports.series import SCORE_COLUMN, Section, Series, ending, finite
 from rrmctl.reports.statistics import SURE, Statistics
@@ -38,9 +39,10 @@ from rrmctl.store.frame import MAYBE_WHOLE, NUMBER, TEXT
 EXPERIMENTS = ("sim-to-real",)
 EXPLAINED = (
     "Simulated rig: another simulation than that of the training, with other masses, friction, motors and latency; two "
-    "cameras see the cube. Sim: the last evaluation of the training up to that step.",
+    "cameras see the cube. Sim: the last evaluation of the training up to that step, of the seeds that were deployed.",
     "Paper: 5 seeds x 20 episodes on a physical robot. In brackets: ours less the paper's, in percentage points.",
     "Checkpoint: of shorter trainings the same share of the training as the paper's, which stands in brackets.",
+    "In our Push and Pick-and-Reach the goal lies beyond the cube; where the paper's may lie it does not say.",
     "Returns cannot be compared with the paper's: it does not say how long an episode is, how often the arm is "
     "commanded, and how high the hand stays in Reach; and those of Push and Pick-and-Reach are below zero, which sums "
     "of its true reward cannot be.",
@@ -63,7 +65,8 @@ def make(sections: Sequence[Section], settings: Statistics) -> list[Report]:
     reports, source = [], f"Paper: {published.source(*EXPERIMENTS)}, on a physical robot"
     for section in sections:
         if found := list(rows(section, settings)):
-            notes = [f"{source}; ours is of a simulated rig, profile {section.profile}.", *remarks(section)]
+            ours = f"ours is of a simulated rig, profile {section.profile}, and an interquartile mean over seeds"
+            notes = [f"{source}, an average; {ours}.", *remarks(section)]
             report = section_report(section, settings, COLUMNS, found, grid=_grid, notes=notes)
             reports.append(replace(report, title=f"{report.title} · deployed at the simulated rig"))
     lacking = f"there are no runs of {', '.join(published.deployed_tasks())}"
@@ -84,15 +87,16 @@ def rows(section: Section, settings: Statistics) -> Iterator[dict[str, Any]]:
         wanted = [(at.step, steps[at.step], at.scores) for at in theirs]
         wanted += [(math.nan, step, {}) for step in own if step not in steps.values()]
         for paper_step, step, scores in wanted:
+            there = deployed if deployed is not None and step in own else None
             for kind in ("success", "return"):
                 row = {
                     **label._asdict(), "score": kind, "paper_step": paper_step, "step": step, "n": 0,
                     "planned": series.planned if deployed is None else deployed.planned,
                     "published": (value := scores.get(kind, math.nan)),
-                    "simulation": _simulated(series, step, kind, settings),
+                    "simulation": _simulated(series, step, kind, settings, None if there is None else there.seeds),
                 }  # fmt: skip
-                if deployed is not None and step in own:
-                    row |= _played(deployed, int(step), kind, settings)
+                if there is not None:
+                    row |= _played(there, int(step), kind, settings)
                     row["difference"] = row["iqm"] - value if kind == "success" else math.nan
                 yield row
 
@@ -118,13 +122,18 @@ def _played(deployed: Series, step: int, kind: ScoreKind, settings: Statistics) 
     return {"n": deployed.n, "episodes": int(episodes.max()), **measured}
 
 
-def _simulated(series: Series, step: float, kind: ScoreKind, settings: Statistics) -> float:
-    """The interquartile mean of the evaluations in training's own simulation, up to a step; NaN before it."""
+def _simulated(
+    series: Series, step: float, kind: ScoreKind, settings: Statistics, seeds: Collection[int] | None
+) -> float:
+    """The interquartile mean of the evaluations in training's own simulation, up to a step; NaN before it. Of these
+    seeds, or of all.
+    """
     if not series.n or math.isnan(step):
         return math.nan
-    steps, values = finite(*series.measure(SCORE_COLUMN[kind]))
+    steps, values = series.measure(SCORE_COLUMN[kind])
+    steps, values = finite(steps, values[[seeds is None or seed in seeds for seed in series.seeds]])
     reached = np.flatnonzero(steps <= step)
-    if not reached.size or steps[-1] < step:
+    if not values.size or not reached.size or steps[-1] < step:
         return math.nan
     return float(score([ending(values, reached[-1:], settings.last)], settings).estimate().row("iqm")["iqm"])
 
@@ -134,6 +143,8 @@ def remarks(section: Section) -> Iterator[str]:
     played = [series for series in section.deployments if series.n]
     if not played:
         yield "Nothing was deployed yet: the runs keep networks for that where `deploy.checkpoints` names their steps."
+    yield from undeployed_notes(section)
+    if not played:
         return
     told = {
         "lost": "{} ended without success because the cube was lost from sight",
@@ -143,8 +154,10 @@ def remarks(section: Section) -> Iterator[str]:
     yield f"Deployed: {' or '.join(map(str, each))} episodes of each checkpoint and seed."
     episodes = int(sum(series.rows["episodes"].sum() for series in played))
     for name, words in told.items():
-        if count := int(sum(series.rows[f"deployed_{name}"].sum() for series in played)):
-            yield f"Of {episodes} episodes: {words.format(count)}."
+        counts = {series.label: int(series.rows[f"deployed_{name}"].sum()) for series in played}
+        if any(counts.values()):
+            whose = ", ".join(f"{label.task} {policy(label.method)} {count}" for label, count in counts.items())
+            yield f"Of {episodes} episodes {words.format(sum(counts.values()))}: {whose}."
 
 
 def _grid(rows: Sequence[Row]) -> TextGrid:

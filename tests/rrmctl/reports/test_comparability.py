@@ -76,6 +76,34 @@ def test_other_processors_are_said(tmp_path):
     assert f"; B: 1 run ({TASK} pebble" in remark
 
 
+def test_agents_of_other_settings_are_said(tmp_path):
+    """As after a profile has changed between two sweeps; what an older configuration does not have is not compared."""
+    Sweep().write(tmp_path)
+    for at, path in enumerate(sorted(tmp_path.glob("runs/*/config.json"))):
+        told = json.loads(path.read_text())
+        agent = {"batch": 128, "critic_lr": 1e-3 if at == 2 else 3e-4} | ({} if at == 4 else {"tau": at})
+        path.write_text(json.dumps(told | {"agent": agent}))
+    (section,) = read_sections(tmp_path)
+    assert (section.mixed, section.problems) == ((), ())
+    assert section.remarks == (f"Runs of {TASK} differ in settings of their agents: critic_lr.",)
+
+
+def test_pictures_of_one_task_are_drawn_alike(tmp_path):
+    """What draws them is compared among the runs of one task: others may have been made elsewhere."""
+    drawn = {name: changed(fingerprint=RECORDED["fingerprint"] | {"renderer": name}) for name in ("Mesa 1", "Mesa 2")}
+    tasks = (TASK, "door-open")
+    runs = {
+        (task, name, seed): drawn[f"Mesa {1 + at}"]
+        for at, task in enumerate(tasks) for name in RISING for seed in range(5)
+    }  # fmt: skip
+    Sweep(tasks=tasks, recorded=runs).write(tmp_path)
+    (section,) = read_sections(tmp_path)
+    assert (section.mixed, section.refusal) == ((), None)
+    Sweep(tasks=tasks, recorded=runs | {SEEDS[1]: drawn["Mesa 2"]}).write(tmp_path / "mixed")
+    (section,) = read_sections(tmp_path / "mixed")
+    assert f"renderer of {TASK} is Mesa 1 in 14 runs" in str(section.refusal)
+
+
 def test_configuration_versions_do_not_meet(tmp_path):
     """Old and new runs in one experiment are refused; the message names them and the command that trains them anew."""
     Sweep(versions=old("pebble", 0, 1, 2, 3, 4)).write(tmp_path)

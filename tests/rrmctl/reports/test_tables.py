@@ -296,7 +296,25 @@ def test_a_checkpoint_of_ones_own_is_a_row():
 def test_what_happened_at_the_rig_is_said():
     """Episodes in which the cube was lost from sight."""
     (report,) = sim_to_real.make([deployed(lost=1)], QUICK)
-    assert "Of 1800 episodes: 90 ended without success because the cube was lost from sight." in report.notes
+    said = "Of 1800 episodes 90 ended without success because the cube was lost from sight: panda-reach pebble 15, "
+    assert any(note.startswith(said) for note in report.notes)
+
+
+def test_deployments_that_are_missing_are_named_and_the_simulation_is_of_the_same_seeds():
+    """A seed that failed at the rig is said, with its state, and is in neither of the two numbers of a row."""
+    label, rig = (("panda-push", name, "oracle", FULL) for name in ("pebble", "pebble deployed"))
+    values = np.array([[0.0, 0.0], [0.2, 1.0], [0.4, 1.0], [0.6, 1.0]])
+    states = {("pebble deployed", 0): "failed", ("pebble deployed", 3): "queued"}
+    after = frames("sim-to-real", {rig: at_the_rig(curve(0.5, seeds=4))}, steps=[600_000], states=states)
+    found = section("sim-to-real", {label: values}, steps=[600_000, 10**6], deployments=after)
+    (report,) = sim_to_real.make([found], QUICK)
+    own = row(report.table, paper_step=600_000, score="success")
+    assert (own["n"], own["planned"], own["simulation"]) == (2, 4, pytest.approx(0.3))
+    assert row(report.table, paper_step=800_000, score="success")["simulation"] == pytest.approx(0.3)
+    assert "2 of 4 planned deployments." in report.notes
+    gone = [note for note in report.notes if "pebble deployed" in note and note.startswith("Not contained")]
+    assert [note.split(":")[0] for note in gone] == ["Not contained, failed", "Not contained, queued"]
+    assert gone[0].endswith("seed 0.")
 
 
 def test_evaluations_that_are_not_a_number_are_passed_over():
