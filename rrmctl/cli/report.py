@@ -102,7 +102,9 @@ def _table(entry: Entry) -> Callable[..., None]:
         module = entry.load()
         settings = Statistics(kind=kind.value, last=evaluations(final), replicates=replicates, plus_minus=plus_minus)
         experiments = [name] if name else module.EXPERIMENTS
-        reports = module.make(sections_for(results, experiments, profile, allow_mixed=allow_mixed), settings)
+        apart = getattr(module, "APART", False)
+        sections = sections_for(results, experiments, profile, allow_mixed=allow_mixed, apart=apart)
+        reports = module.make(sections, settings)
         if output is not None:
             _write(output, to_text(reports, form.value).encode())
         elif form is Format.TERMINAL:

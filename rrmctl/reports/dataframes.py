@@ -38,7 +38,9 @@ def report_table(
 
     module = choose(kinds(), kind, "table").load()
     experiments = [experiment] if experiment else module.EXPERIMENTS
-    reports = module.make(sections_for(results, experiments, profile, allow_mixed=allow_mixed), settings)
+    apart = getattr(module, "APART", False)
+    sections = sections_for(results, experiments, profile, allow_mixed=allow_mixed, apart=apart)
+    reports = module.make(sections, settings)
     whose = ("experiment", "profile", "variant")
     tables = [report.table.assign(**{name: report.facts[name] for name in whose}) for report in reports]
     common = set.intersection(*(set(table.columns) for table in tables))

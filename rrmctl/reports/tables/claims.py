@@ -1,7 +1,7 @@
 """The claims of the paper's prose: held, not held, or not enough data.
 
 Each claim is one or more comparisons, settled only where the whole 95 %
-interval lies on one side. The table shows the comparison on which the
+interval lies on one side and there are seeds enough. The table shows the comparison on which the
 verdict rests; csv and json have them all. Profiles are judged apart, and
 any but the paper's is named in the verdict.
 """
@@ -22,9 +22,14 @@ from rrmctl.reports.verdicts import judge
 from rrmctl.store.frame import MAYBE_WHOLE, TEXT
 
 EXPERIMENTS = tuple(dict.fromkeys(claim.experiment for claim in CLAIMS))
+#: An experiment whose runs do not belong together costs its own claims, and no others.
+APART = True
 EXPLAINED = (
     "Held: all comparisons of the claim have their whole interval on its side. Not held: one has all of it on the "
     f"other side, at a level of 1 - {1 - LEVEL:.2g} / the claim's comparisons. Shown: the comparison that decides.",
+    "Neither is said where not all planned runs are finished, nor of so few seeds that chance alone could bring all "
+    "of them to one side (in 5 %, or 5 % / the claim's comparisons, of studies): five at least against a bound.",
+    "Of several: the verdict is on those tasks of the claim that were planned with all that it compares.",
     '"Reaches" and "near" are taken within 5 points. n: the fewest seeds of a method and task.',
 )
 
@@ -57,6 +62,7 @@ def make(sections: Sequence[Section], settings: Statistics) -> list[Report]:
         grid = TextGrid.of(COLUMNS, [row for row in rows if row["decides"]])
         verdicts = Counter({row["claim"]: row["verdict"] for row in rows}.values())
         notes = [f"{len(CLAIMS)} claims: {', '.join(f'{count} {verdict}' for verdict, count in verdicts.items())}."]
+        notes += [str(section.refusal) for section in alike if section.refusal]
         notes += [f"{section.experiment}: {note}" for section in alike for note in contents_notes(section)]
         notes += dict.fromkeys(note for section in alike for note in statistics_notes(section, settings))
         facts = merged_facts("claims", alike, settings)
@@ -66,16 +72,21 @@ def make(sections: Sequence[Section], settings: Statistics) -> list[Report]:
 
 
 def _rows(sections: Sequence[Section], settings: Statistics) -> Iterator[dict[str, Any]]:
-    """A row for each comparison of each claim; verdicts name a scale that is not the paper's, and overrides."""
+    """A row for each comparison of each claim; verdicts name tasks that are not all of the claim's, a scale that is not
+    the paper's, and overrides.
+    """
     by_name, first = {section.experiment: section for section in sections}, sections[0]
     scale = [] if first.profile == PAPER else [f"profile {first.profile}"]
     scale += [f"{key}={value}" for key, value in first.overrides.items()]
     for claim in CLAIMS:
         judgement = judge(claim, by_name, settings)
+        few = len(judgement.tasks) < len(claim.tasks) and judgement.verdict != "not enough data"
+        where = [f"{len(judgement.tasks)} of {len(claim.tasks)} tasks"] if few else []
+        said = f" ({', '.join([*where, *scale])})" if where or scale else ""
         for finding in judgement.findings:
             row: dict[str, Any] = {
                 "claim": claim.name, "says": claim.says, "where": claim.where, "asks": claim.experiment,
-                "verdict": judgement.verdict + (f" ({', '.join(scale)})" if scale else ""), "task": finding.task,
+                "verdict": judgement.verdict + said, "task": finding.task,
                 "comparison": str(finding.test), "reading": finding.test.reading.words, "unit": finding.unit, "n": 0,
                 "comparison_verdict": finding.verdict, "why": finding.why, "decides": finding is judgement.deciding,
             }  # fmt: skip

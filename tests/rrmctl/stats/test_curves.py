@@ -3,7 +3,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rrmctl.stats import area_under_curve, common_step
+from rrmctl.stats import area_under_curve, common_step, read_at_common_step
 
 STEPS = [100, 200, 300]
 
@@ -70,6 +70,26 @@ def test_methods_that_arrive_together_are_both_named():
     """The step names every method that got there first."""
     both = {"pebble": np.ones((3, 3)), "rrm-proxy": np.ones((2, 3))}
     assert common_step(STEPS, both).by == ("pebble", "rrm-proxy")
+
+
+def test_each_replicate_is_read_at_the_step_that_its_own_draws_choose():
+    """As drawing the runs one by one and asking `common_step` would have it; of a method that chooses nothing, too."""
+    rng = np.random.default_rng(1)
+    success = {name: rng.choice([0.5, 1.0], size=(size, 3), p=[0.4, 0.6]) for name, size in (("a", 5), ("b", 4))}
+    values = {"a": rng.random((5, 3)), "oracle": rng.random((3, 3))}
+    read = read_at_common_step(success, values, rng=np.random.default_rng(2), replicates=200)
+    again, picks = np.random.default_rng(2), {}
+    for name, size in (("a", 5), ("b", 4), ("oracle", 3)):
+        picks[name] = again.integers(size, size=(200, size), dtype=np.int32)
+    steps = set()
+    for at in range(200):
+        step = common_step(STEPS, {name: scores[picks[name][at]] for name, scores in success.items()}).index
+        steps.add(step)
+        for name, own in values.items():
+            np.testing.assert_array_equal(read[name][at], own[picks[name][at], step])
+    assert steps == {0, 1, 2}
+    last = read_at_common_step({}, values, rng=np.random.default_rng(2), replicates=5)  # of returns
+    assert set(last["a"].ravel()) <= set(values["a"][:, -1])
 
 
 @pytest.mark.parametrize(
