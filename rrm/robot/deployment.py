@@ -144,8 +144,10 @@ class _Play:
         robot, acted, total = self._robot, 0, 0.0
         self._tracker.forget()
         sight = self._look()
-        while sight is None and not self._lost:
-            sight = self._look()  # at rest
+        while sight is None and not self._lost:  # at rest
+            if robot.truth() is None:
+                robot.wait()  # for other pictures; at a simulated rig time stands still, and each look has its own noise
+            sight = self._look()
         for _ in range(horizon):
             if sight is not None and not self._lost:
                 self._act(sight)

@@ -142,6 +142,25 @@ def test_a_cube_that_is_never_seen():
 
 
 @pytest.mark.slow
+def test_where_time_goes_by_other_pictures_are_waited_for():
+    """Looks at one and the same moment would soon be as many as it takes to lose the cube."""
+
+    class Lab(Dark):
+        waits = 0
+
+        def truth(self):
+            return None
+
+        def wait(self):
+            self.waits += 1
+            self._rig.wait()
+
+    labs = []
+    (episode,) = play(reach, Places(lambda rig: labs.append(Lab(rig, 1, 4)) or labs[-1]), horizon=6, patience=5)
+    assert (episode.lost, episode.acted, labs[0].waits) == ("", 6, 3 + 6)
+
+
+@pytest.mark.slow
 def test_an_episode_in_which_the_rig_dies_is_played_again():
     """At a new one, from its beginning: what comes of it is as if nothing had happened, but for the count."""
     places = Places()
