@@ -29,6 +29,7 @@ BENCHMARKS = (
     "images",
     "bootstrap",
     "perception",
+    "rig",
     "commands",
     "labelling",
     "sweep",

@@ -146,7 +146,7 @@ class _Play:
         sight = self._look()
         while sight is None and not self._lost:  # at rest
             if robot.truth() is None:
-                robot.wait()  # for other pictures; at a simulated rig time stands still, and each look has its own noise
+                robot.wait()  # for other pictures; at the simulated rig time stands still, and noise is each look's own
             sight = self._look()
         for _ in range(horizon):
             if sight is not None and not self._lost:

@@ -96,7 +96,10 @@ def deploy_kept(config: DeploymentConfig, folder: Path, monitor: Monitor, result
         monitor.note(f"{error}: set aside as {aside.name}, and played again")
         record = Record.read(path, config.identity)
     steps = [step for step in config.checkpoints if len(record.of(step)) < due]
-    monitor.restored([summary(step, record.of(step)) for step in config.checkpoints if step not in steps])
+    played = [step for step in config.checkpoints if step not in steps]
+    # When each was over is not kept; by the last all of that time had passed.
+    times = dict(zip(played[-1:], [record.wall_s], strict=False))
+    monitor.restored([summary(step, record.of(step), times.get(step, _NAN)) for step in played])
     if not steps:
         return True
     laboratory, began = Laboratory(config.rig), time.monotonic()

@@ -64,6 +64,12 @@ class Reading:
     spread: bool = False  #: the standard deviation of the seeds, not their interquartile mean
     tasks: Literal["pooled", "averaged"] = "pooled"  #: of several: one number of all seeds, or the mean of each task's
 
+    def __post_init__(self) -> None:
+        if self.steps == "common" and (self.spread or self.measure is not None or self.tasks != "pooled"):
+            raise ValueError(
+                f"{PATH.name}: {self.words!r}: at the common step the score is read, of all seeds together"
+            )
+
     @property
     def pooled(self) -> bool:
         """Whether the seeds of several tasks are of one number; curves are averaged."""

@@ -34,6 +34,9 @@ RENDERER = "renderer"
 #: What belongs to a method, as its readers are told: it may differ between methods, and not within one.
 _OF_METHODS = (DEVICE, CARD, PRECISION)
 
+#: Of an agent's settings those that come with what a method knows beforehand.
+_OF_PRIORS = ("encoder", "encoder_run")
+
 #: Said of a fact in which deployments differ, beside the same fact of what was trained.
 _DEPLOYED = " of the deployments"
 
@@ -145,7 +148,7 @@ def _unlike_agents(series: Iterable[Series], makings: Mapping[str, Making]) -> I
         if (agent := config.get("agent")) is not None:
             agents[made.label.task, agent.get("kind", "sac")].append(agent)
     for (task, _), of_task in agents.items():
-        shared = [key for key in of_task[0] if all(key in agent for agent in of_task)]
+        shared = [key for key in of_task[0] if key not in _OF_PRIORS and all(key in agent for agent in of_task)]
         if unlike := [key for key in shared if any(agent[key] != of_task[0][key] for agent in of_task)]:
             yield f"Runs of {task} differ in settings of their agents: {', '.join(unlike)}."
 

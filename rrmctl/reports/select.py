@@ -62,7 +62,7 @@ def sections_of(store: Snapshot, *, allow_mixed: bool = False) -> tuple[Section,
     sections = []
     for section in _split(rows, jobs, evaluation, makings, (played, deployed)):
         mixed = comparability.mixture(section, makings)
-        differences = tuple(comparability.told(mixed))
+        differences = tuple(comparability.told(mixed)) if allow_mixed else ()  # else it is refused for them
         problems = [*section.problems]
         if gone := superseded[section.experiment, section.variant]:
             problems.append(

@@ -98,7 +98,7 @@ def _finding(test: Test, tasks: Sequence[str], section: Section, rivals: int, se
         score(values, settings, pooled=pooled, stream=stream, statistic=statistic)
         for stream, values in enumerate(zip(*read, strict=True), start=1)
     ]
-    if test.reading.steps == "common" and not np.isnan(scores[0].draws).all():
+    if test.reading.steps == "common" and not any(np.isnan(score.draws).all() for score in scores):
         draws = _draws_at_common_step(section, series, settings)
         scores = [replace(score, draws=own) for score, own in zip(scores, draws, strict=True)]
     measured = scores[0] - scores[1] if len(scores) > 1 else scores[0]
@@ -125,14 +125,15 @@ def _finding(test: Test, tasks: Sequence[str], section: Section, rivals: int, se
 
 
 def by_chance(runs: Sequence[Sequence[int]]) -> float:
-    """How probable it is that all runs lie on one given side where nothing puts them there.
+    """How probable it is that all runs lie on one given side where nothing puts them there. Of several tasks in one
+    number it is that of the one with the fewest: in the others all seeds may be alike, and say nothing.
 
     Args:
         runs: for each task the runs of the one method that is held against a bound, each as likely above as below; or
             of the two that are compared, where every order of them is as likely: those of one are all above the
             other's.
     """
-    return math.prod(0.5 ** own[0] if len(own) == 1 else 1 / math.comb(sum(own), own[0]) for own in runs)
+    return max(0.5 ** own[0] if len(own) == 1 else 1 / math.comb(sum(own), own[0]) for own in runs)
 
 
 def _beyond(test: Test, estimate: Estimate) -> tuple[float, float]:
@@ -204,7 +205,10 @@ def _values(section: Section, series: Sequence[Series], reading: Reading, last: 
 
 def _panel(section: Section, series: Series) -> Panel:
     """The comparison that a series stands in; the error says what of it is missing: the step is of all its methods."""
-    (panel,) = (panel for panel in section.panels() if series in panel.series)
+    panels = [panel for panel in section.panels() if series in panel.series]
+    if len(panels) != 1:
+        raise UserError(f"{series.label} stands in {len(panels)} comparisons, of which each has a step of its own")
+    panel = panels[0]
     if missing := [f"{one.label.method} {problem}" for one in panel.series if (problem := _incomplete(one))]:
         raise UserError(f"{panel.task}: the step is common to all methods; of {'; of '.join(missing)}")
     return panel

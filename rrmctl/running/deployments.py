@@ -117,13 +117,14 @@ class Deployment:
 
 
 def own_rig(folder: RunFolder) -> RigConfig:
-    """The workplace at which its sweep deploys a run, where that is one; else the usual one. What a run is does not
-    depend on it, so that its own configuration does not tell.
+    """The workplace at which its sweep deploys a run, where that is one and can be read; else the usual one. What a run
+    is does not depend on it, so that its own configuration does not tell.
     """
     layout, rigs = Layout(folder.results), []
     for job in (job for sweep in readable_sweeps(layout)[0] for job in sweep.deployments):
-        if folder.id in job.requires and layout.run(job.id).config.exists():
-            rigs.append(cast("DeploymentConfig", load_config(layout.run(job.id))).rig)
+        if folder.id in job.requires:
+            with contextlib.suppress(UserError):  # what is wrong with another run is told where that is asked for
+                rigs.append(cast("DeploymentConfig", load_config(layout.run(job.id))).rig)
     return rigs[0] if rigs and all(rig == rigs[0] for rig in rigs) else RigConfig()
 
 

@@ -48,6 +48,8 @@ _ENDINGS: dict[int, Stage] = {
 #: What messages say, by the name of their event; their other entries are its fields.
 _EVENTS: dict[str, Callable[..., Event]] = {"start": Started, "beat": Progress, "row": Evaluated, "note": Note}
 
+_KINDS = frozenset(kind.value for kind in ErrorKind)
+
 #: What is said of exit codes where the worker's message was lost, as the pipe was full.
 _UNHEARD: dict[int, tuple[ErrorKind, str]] = {
     WorkerExit.STORAGE: (ErrorKind.STORAGE, "the results folder took no write"),
@@ -79,7 +81,8 @@ class Child:
         self._clock = clock
         self.heard = clock()  #: when the last message arrived
         self.open = True  #: its pipe is
-        self._error: RunError | None = None  # as the worker told it
+        self._taken_up = False  # as the worker told it
+        self._error: RunError | None = None  # the same
         self._ended_for: RunError | None = None  # why its parent ended it
         self._text = b""  # of a line that is not complete
         self._memory_kills = _killed_for_memory()
@@ -128,9 +131,9 @@ class Child:
                 match message:
                     case {"event": str(name), **fields} if name in _EVENTS:
                         events.append(self._event(name, fields, line))
-                    case {"event": "error", "kind": kind, "type": name, "message": text}:
+                    case {"event": "error", "kind": kind, "type": name, "message": text} if kind in _KINDS:
                         self._error = RunError(kind=ErrorKind(kind), type=name, message=text)
-                    case {"event": _}:
+                    case {"event": str(name)} if name != "error":
                         pass  # a sign of life and no more
                     case _:  # passed on for people to read rather than end the sweep
                         events.append(Note(self.job, repr(line)))
@@ -138,9 +141,11 @@ class Child:
 
     def _event(self, name: str, fields: Mapping[object, Any], line: bytes) -> Event:
         try:
-            return _EVENTS[name](self.job, **fields)  # type: ignore[arg-type]  # JSON's keys are texts
+            event = _EVENTS[name](self.job, **fields)  # type: ignore[arg-type]  # JSON's keys are texts
         except TypeError:  # of a worker whose code is another by now
             return Note(self.job, repr(line))
+        self._taken_up = self._taken_up or isinstance(event, Started)
+        return event
 
     def close(self) -> None:
         """Stop listening."""
@@ -213,7 +218,7 @@ class Child:
         elif -code in _SENT:
             kind, reason = ErrorKind.KILLED, f"{reason} from outside"
         error = self._error or self._ended_for or RunError(kind=kind, type=name, message=reason)
-        return Outcome(Stage.FAILED, error)
+        return Outcome(Stage.FAILED, error, error.kind is ErrorKind.CRASHED and not self._taken_up)
 
 
 @dataclass(kw_only=True)

@@ -30,6 +30,7 @@ class Outcome:
 
     ending: Stage
     error: RunError | None = None  #: of one that failed or is blocked
+    stillborn: bool = False  #: its worker crashed before it took the run up
 
 
 #: Failures worth another attempt. The others would fail again in the same way.
@@ -74,12 +75,12 @@ class Scheduler:
         self._retries = retries
         self._crashes: Counter[str] = Counter()
         self._kills: Counter[str] = Counter()
-        self._taken_up: set[str] = set()  # in this attempt
-        self._stillborn: set[str] = set()  # since the last that was taken up
+        self._stillborn: set[str] = set()  # jobs, since the last that was taken up
         self._rows: dict[str, int] = {}
         self._running: set[str] = set()
         self._elsewhere: set[str] = set()
         self.stopping = False  #: nothing starts any more
+        self.broken = False  #: for workers end before they begin
 
     def next(self) -> str | None:
         """The job that may start now; None while every slot is taken or nothing waits but for others, or for cards."""
@@ -95,12 +96,10 @@ class Scheduler:
         """The job `next` named is running."""
         self._queue.remove(job)
         self._running.add(job)
-        self._taken_up.discard(job)
         self._stages[job] = Stage.RUNNING
 
     def resumed(self, job: str, rows: int) -> None:
         """The attempt began with so many evaluations; more than the one before it forgives earlier crashes."""
-        self._taken_up.add(job)
         self._stillborn.clear()
         if rows > self._rows.get(job, 0):
             self._crashes[job] = self._kills[job] = 0
@@ -114,7 +113,7 @@ class Scheduler:
         """
         stage = outcome.ending
         if stage is Stage.FAILED and job in self._running:  # elsewhere it was tried as often as it should be
-            stage = self._after_failure(job, outcome.error)
+            stage = self._after_failure(job, outcome)
         self._leave(job)
         self._stages[job] = stage
         if stage is Stage.WAITING:
@@ -123,7 +122,8 @@ class Scheduler:
             self._elsewhere.add(job)
         return stage
 
-    def _after_failure(self, job: str, error: RunError | None) -> Stage:
+    def _after_failure(self, job: str, outcome: Outcome) -> Stage:
+        error = outcome.error
         assert error is not None  # a failure says why
         if error.kind is ErrorKind.STORAGE:
             self.stop()  # whatever starts next would meet the same folder
@@ -131,9 +131,10 @@ class Scheduler:
             return Stage.STOPPED  # others may have what they need
         if error.kind not in RETRIED:
             return Stage.FAILED
-        if error.kind is ErrorKind.CRASHED and job not in self._taken_up:
+        if outcome.stillborn:
             self._stillborn.add(job)
             if len(self._stillborn) >= STILLBORN:
+                self.broken = True
                 self.stop()
                 return Stage.STOPPED
         killed = error.kind is ErrorKind.KILLED

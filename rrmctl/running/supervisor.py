@@ -233,7 +233,12 @@ class Supervisor:
             self.executor.stop(now=True)
 
     def _conclude(self, job: str, outcome: Outcome) -> None:
+        broken = self.scheduler.broken
         phase = self.scheduler.end(job, outcome)
+        if self.scheduler.broken and not broken:
+            self.watcher.note(
+                job, "workers end before they take a run up, whichever it is: nothing is started any more"
+            )
         if phase is Stage.FAILED and outcome.error is not None:
             try:
                 record_failure(self.layout.run(job), outcome.error)

@@ -12,6 +12,7 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from typing import Any
 
+from rrmctl.errors import UserError
 from rrmctl.planning.profiles import PAPER
 from rrmctl.reports.claims import CLAIMS
 from rrmctl.reports.columns import Column, Row, TextGrid, estimated
@@ -62,13 +63,18 @@ def make(sections: Sequence[Section], settings: Statistics) -> list[Report]:
         grid = TextGrid.of(COLUMNS, [row for row in rows if row["decides"]])
         verdicts = Counter({row["claim"]: row["verdict"] for row in rows}.values())
         notes = [f"{len(CLAIMS)} claims: {', '.join(f'{count} {verdict}' for verdict, count in verdicts.items())}."]
-        notes += [str(section.refusal) for section in alike if section.refusal]
-        notes += [f"{section.experiment}: {note}" for section in alike for note in contents_notes(section)]
+        for section in alike:
+            own = contents_notes(section) if section.refusal is None else [_refused(section.refusal)]
+            notes += [f"{section.experiment}: {note}" for note in own]
         notes += dict.fromkeys(note for section in alike for note in statistics_notes(section, settings))
         facts = merged_facts("claims", alike, settings)
         reports.append(Report(title(alike[0], "claims"), table, grid, tuple(notes), facts))
     hint = f"its claims are about {', '.join(EXPERIMENTS)}"
     return some(reports, sections, "the paper's prose claims nothing of it", hint)
+
+
+def _refused(refusal: UserError) -> str:
+    return f"not judged. {refusal}; {refusal.hint}." if refusal.hint else f"not judged. {refusal}."
 
 
 def _rows(sections: Sequence[Section], settings: Statistics) -> Iterator[dict[str, Any]]:

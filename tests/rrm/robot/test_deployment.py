@@ -7,6 +7,7 @@ import signal
 import numpy as np
 import pytest
 
+from benchmarks import rig as benchmark
 from rrm.envs.panda.rules import RULES
 from rrm.errors import CalibrationError, ConfigError, NumericalError, RobotError
 from rrm.robot.config import RigConfig
@@ -83,6 +84,15 @@ def test_a_scripted_policy_succeeds_at_the_rig(task):
     """What moves the cube in the training's simulation moves it there, by what the cameras see; one of two will do."""
     episodes = play(scripted(task), Places(), task=task, episodes=2, horizon=100, patience=20)
     assert any(episode.success and episode.success_seen for episode in episodes)
+
+
+@pytest.mark.slow
+@pytest.mark.long
+def test_the_benchmark_tells_what_the_rig_leaves_of_it():
+    """Failures in percent, here and in the training's simulation, and seconds."""
+    failures, cost = benchmark.lines(1, ("panda-reach",))
+    assert (failures.ours, failures.peers, failures.unit) == (0.0, {"the training's simulation": 0.0}, "%")
+    assert (cost.unit, cost.ours > 0) == ("s", True)
 
 
 @pytest.mark.slow

@@ -49,6 +49,20 @@ def test_what_is_added_is_there_again(tmp_path_factory, rows):
         assert repr(read.of(step)) == repr(added)
 
 
+def test_the_time_that_playing_took_adds_up(record):
+    """Over all that go on with the file; one that tells no time, or nonsense, begins at none."""
+    assert Record.read(record.path).wall_s == 0.0
+    for took, total in ((1.5, 1.5), (0.25, 1.75)):
+        again = Record.read(record.path)
+        again.add(200, episode(len(again.of(200))), took)
+        assert Record.read(record.path).wall_s == total
+    table = pq.read_table(record.path)
+    for told in ({}, {b"rrm.episodes_wall_s": b"-inf"}, {b"rrm.episodes_wall_s": b"soon"}):
+        about = {key: value for key, value in table.schema.metadata.items() if key != b"rrm.episodes_wall_s"}
+        pq.write_table(table.replace_schema_metadata(about | told), record.path)
+        assert Record.read(record.path).wall_s == 0.0
+
+
 def test_it_knows_its_source_and_refuses_another(record):
     """Who does not care what it is of reads it all the same, and is told."""
     assert Record.read(record.path, record.source).episodes == record.episodes

@@ -82,10 +82,31 @@ def test_agents_of_other_settings_are_said(tmp_path):
     for at, path in enumerate(sorted(tmp_path.glob("runs/*/config.json"))):
         told = json.loads(path.read_text())
         agent = {"batch": 128, "critic_lr": 1e-3 if at == 2 else 3e-4} | ({} if at == 4 else {"tau": at})
+        agent |= {"encoder": "none", "encoder_run": "an AIRL run" if at == 1 else None}
         path.write_text(json.dumps(told | {"agent": agent}))
     (section,) = read_sections(tmp_path)
     assert (section.mixed, section.problems) == ((), ())
     assert section.remarks == (f"Runs of {TASK} differ in settings of their agents: critic_lr.",)
+
+
+def test_claims_are_judged_beside_an_experiment_that_is_refused(tmp_path, installed):
+    """It costs its own claims, and the way out is told; asked for by itself it is refused, as in any other report."""
+    Sweep().write(tmp_path)
+    other = changed(versions=RECORDED["versions"] | {"torch": "2.9.0"})
+    runs = {("door-unlock", "pebble", 1): other}
+    Sweep(experiment="ablation-prior", tasks=("door-unlock",), recorded=runs).write(tmp_path)
+    done = rrmctl("report", "claims", "--results", tmp_path, "--format", "json")
+    assert done.exit_code == 0, done.output
+    (report,) = json.loads(done.stdout)["reports"]
+    (note,) = (note for note in report["notes"] if "do not belong" in note)
+    assert note.startswith("ablation-prior: not judged. ablation-prior, profile laptop: its runs do not belong in one")
+    assert "--allow-mixed" in note
+    assert not any("MIXED" in note for note in report["notes"])
+    whys = {row["asks"]: row["why"] for row in report["rows"]}
+    assert "do not belong in one report" in whys["ablation-prior"]
+    assert "do not belong" not in whys["main-results"]
+    for command in (["report", "claims", "ablation-prior"], ["report", "iqm", "ablation-prior"]):
+        assert rrmctl(*command, "--results", tmp_path).exit_code == 2
 
 
 def test_pictures_of_one_task_are_drawn_alike(tmp_path):

@@ -111,19 +111,21 @@ def test_a_worker_that_cannot_leave_ends_itself_and_what_it_started() -> None:
 
 
 def test_rubbish_in_the_pipe_is_shown_not_obeyed(tmp_path: Path) -> None:
-    """A line that is no message reaches a person as a note."""
+    """A line that is no message, or one of another program's, reaches a person as a note."""
     layout = Layout(tmp_path)
     layout.run("r").path.mkdir(parents=True)
-    script = (
-        "import os, sys; pipe = int(sys.argv[sys.argv.index('--pipe') + 1]); "
-        'os.write(pipe, b\'rubbish\\n[1]\\n{"event": "x"}\\n\')'
-    )
-    child = Child(layout, WorkOrder(run="r", threads=1), command=[sys.executable, "-c", script])
+    script = "import os, sys; pipe = int(sys.argv[sys.argv.index('--pipe') + 1]); os.write(pipe, sys.argv[1].encode())"
+    strange = [
+        '{"event": "start", "attempt": 1, "colour": 2}',
+        '{"event": "error", "kind": "odd", "type": "x", "message": "y"}',
+    ]
+    lines = "\n".join(["rubbish", "[1]", '{"event": "x"}', *strange, ""])
+    child = Child(layout, WorkOrder(run="r", threads=1), command=[sys.executable, "-c", script, lines])
     events: list[Event] = []
     while child.open:
         events += child.events()
     child.wait()
-    assert events == [Note("r", "b'rubbish'"), Note("r", "b'[1]'")]
+    assert events == [Note("r", repr(line.encode())) for line in ("rubbish", "[1]", *strange)]
 
 
 def test_a_group_is_ended_while_its_number_is_its_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -93,18 +95,22 @@ def test_a_mistake_is_not_tried_again() -> None:
 def test_a_broken_program_costs_no_job() -> None:
     """Three jobs in a row that were not even taken up end the command, not the jobs; one by itself fails as ever."""
     scheduler = Scheduler("abcdef", slots=2)
+    stillborn = dataclasses.replace(failed(ErrorKind.CRASHED), stillborn=True)
     for job in "ab":
         start_all(scheduler)
-        assert scheduler.end(job, failed(ErrorKind.CRASHED)) is Stage.WAITING
+        assert scheduler.end(job, stillborn) is Stage.WAITING
     start_all(scheduler)
     scheduler.resumed("c", 0)
     assert scheduler.end("c", failed(ErrorKind.CRASHED)) is Stage.WAITING
     assert not scheduler.stopping
     for job, stage in zip("def", (Stage.WAITING, Stage.WAITING, Stage.STOPPED), strict=True):
         start_all(scheduler)
-        assert scheduler.end(job, failed(ErrorKind.CRASHED)) is stage
-    assert scheduler.stopping
-    assert scheduler.exit_code() is Exit.INCOMPLETE
+        assert scheduler.end(job, stillborn) is stage
+    assert (scheduler.broken, scheduler.stopping, scheduler.exit_code()) == (True, True, Exit.INCOMPLETE)
+    alone = Scheduler("a", slots=1)
+    for expected in (Stage.WAITING, Stage.WAITING, Stage.FAILED):
+        start_all(alone)
+        assert alone.end("a", stillborn) is expected
 
 
 def test_progress_forgives_crashes() -> None:

@@ -257,6 +257,7 @@ def test_a_program_that_is_broken_fails_no_run(tmp_path: Path) -> None:
     assert set(states(layout, assigned)) == {RunState.QUEUED}
     assert set(watcher.errors) == {"Exit: left with exit code 1"}
     assert len(watcher.errors) < 6
+    assert [note for note in watcher.notes if "nothing is started any more" in note]
     assert pool(layout, assigned).run() is Exit.DONE
 
 
