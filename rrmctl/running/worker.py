@@ -50,7 +50,7 @@ class WorkerExit(IntEnum):
     """Exit codes of a worker."""
 
     DONE = 0
-    CRASHED = 1  #: an exception nobody foresaw; its traceback is in the log
+    CRASHED = 1  #: what may go well the next time; where nobody foresaw it, its traceback is in the log
     REFUSED = 2  #: a mistake in what it was given; trying again would not help
     MISSING = 66  #: a file of the user's is not there now
     WAITING = 69  #: checkpointed; what must come from outside has not come yet
@@ -210,11 +210,14 @@ def _take_up(folder: RunFolder, before: Status, *, fresh: bool) -> Status:
 
 def _report(folder: RunFolder, error: Exception, pipe: Pipe, lease: Lease | None = None) -> WorkerExit:
     """Tell the log, the parent and, where the run is owned, its status why the worker leaves."""
+    from rrm.errors import RrmError
+
     if isinstance(error, OSError) and error.errno in files.STORAGE_ERRNOS:
         error = files.storage_error(Path(error.filename or folder.path), error, "read or write")
     code, kind, message = _reason(folder, error)
     reason = RunError(kind=kind, type=type(error).__name__, message=message)
-    _log("".join(traceback.format_exception(error)) if code is WorkerExit.CRASHED else f"--- {reason}\n")
+    unforeseen = code is WorkerExit.CRASHED and not isinstance(error, RrmError)
+    _log("".join(traceback.format_exception(error)) if unforeseen else f"--- {reason}\n")
     pipe.send(event="error", **dataclasses.asdict(reason))
     if lease is not None:
         # What may not happen again is not the run's end: whether it is tried again, its parent or the next one decides.

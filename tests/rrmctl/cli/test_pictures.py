@@ -19,6 +19,7 @@ from rrmctl.cli.run import _record
 from rrmctl.planning.manifest import load
 from rrmctl.planning.plan import Plan, make_plan
 from rrmctl.running.config_file import load_config
+from rrmctl.running.worker import WorkerExit
 from rrmctl.store.layout import Layout, RunFolder
 from rrmctl.terminal import console
 
@@ -88,10 +89,10 @@ def test_a_worker_by_itself_refuses(tmp_path: Path, no_opengl: dict[str, str]) -
     run = recorded(tmp_path, "button-press-image")
     command = [sys.executable, "-m", "rrmctl.running.worker", str(tmp_path / "results"), run.id]
     done = subprocess.run(command, env=no_opengl, capture_output=True, text=True, check=False)
-    assert done.returncode == 2
+    assert done.returncode == WorkerExit.CRASHED
     assert done.stderr.startswith("--- RenderingError: nothing here draws")
     assert len(done.stderr.splitlines()) == 1
-    assert json.loads(run.status.read_text())["state"] == "failed"
+    assert json.loads(run.status.read_text())["state"] == "interrupted"  # it goes on where something draws
 
 
 @pytest.mark.sim
