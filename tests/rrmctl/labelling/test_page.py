@@ -186,6 +186,7 @@ def test_what_the_server_does_not_understand(tmp_path, open_page):
     with serving(layout.root, "--no-practice") as server:
         page = open_page(server, server.link())
         state(open_page(server, 300 * "a"), "gone")
+        page.bring_to_front()  # a browser is idle behind another page
         state(page, "question")
         page.route("**/api/answer", lambda route: route.continue_(post_data="{}"), times=1)
         page.keyboard.press("ArrowLeft")
