@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from pydantic import ValidationError
 
 from rrm.config import RewardConfig
-from rrm.envs import TASKS, task
+from rrm.envs import TASKS, make, task
 from rrm.errors import ConfigError, PriorError
 from rrm.priors import check_prior, load_prior
 from rrm.priors.language import FROZEN, Candidate, Record, check_frozen, freeze, language, load_frozen
@@ -133,6 +133,25 @@ def test_the_image_tasks_are_the_papers(hand, start, o_init, goal):
         first = np.array([*start, 1.0, *o_init, *goal], np.float32)
         step = PriorStep(spec, obs, np.zeros(4, np.float32), {}, np.random.default_rng(0), Scene(spec, first))
         assert load_prior("language")(step) == pytest.approx(2 * min(max(share, 0), 1) - 1, abs=1e-6)
+
+
+@pytest.mark.slow
+@pytest.mark.sim
+@pytest.mark.parametrize("seed", range(3))
+def test_the_way_that_the_printed_function_praises_presses_the_button(seed):
+    """A hand that goes straight for the hole, where the function is at its highest, meets the button on the way."""
+    env = make("button-press")
+    obs, _ = env.reset(seed=seed)
+    way, success = np.inf, 0.0
+    for _ in range(100):
+        nearer = np.linalg.norm(obs[36:39] - obs[:3])
+        way = min(way, nearer)
+        action = np.append(np.clip(10 * (obs[36:39] - obs[:3]), -1, 1), 0.0).astype(np.float32)
+        obs, _, _, _, info = env.step(action)
+        success = max(success, info["success"])
+    env.close()
+    assert success == 1.0
+    assert way < 0.05  # the hole is reached
 
 
 ARM = {"hand": slice(0, 3), "object": slice(4, 7), "goal": slice(36, 39)}
