@@ -98,8 +98,9 @@ def deploy_kept(config: DeploymentConfig, folder: Path, monitor: Monitor, result
     steps = [step for step in config.checkpoints if len(record.of(step)) < due]
     played = [step for step in config.checkpoints if step not in steps]
     # When each was over is not kept; by the last all of that time had passed.
-    times = dict(zip(played[-1:], [record.wall_s], strict=False))
-    monitor.restored([summary(step, record.of(step), times.get(step, _NAN)) for step in played])
+    monitor.restored([
+        summary(step, record.of(step), record.wall_s if step == played[-1] else _NAN) for step in played
+    ])  # fmt: skip
     if not steps:
         return True
     laboratory, began = Laboratory(config.rig), time.monotonic()
